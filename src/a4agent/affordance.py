@@ -1,0 +1,264 @@
+"""The data that flows through the agent: plain frozen values, arrays and strings.
+
+    Affordance(
+        instruction="drink from the mug",
+        size_wh=(640, 480),
+        imagination=None,                                   # the Dreamer did not run
+        target=Target(task="drink from the mug", object_name="mug", object_part="the handle of the mug"),
+        regions=(Region(box_xyxy=[402, 180, 471, 322], points_xy=[[440, 251]], mask=..., score=0.93),),
+        status="ok",
+    )
+
+Coordinates are pixels of the original image, x to the right, y down, from the top left corner; boxes
+are half-open (x1 and y1 are the first pixel outside). "Nothing found" is a `(0, 4)` array and a blank
+mask, never None; a failure is an Affordance whose `status` and `error` say so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+import numpy as np
+
+from a4agent import rle
+from a4agent.errors import DataError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+Status = Literal["ok", "empty", "invalid", "error"]
+"""ok: a mask was found; empty: looked and found nothing; invalid: a model's answer could not be used;
+error: a stage failed."""
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Imagination:
+    """How: what the Dreamer asked for and the picture it got (any size; only the Thinker looks at it)."""
+
+    prompt: str
+    image: Image | None
+
+
+@dataclass(frozen=True)
+class Target:
+    """What: the part to act on, as the Thinker named it ("the handle of the mug")."""
+
+    task: str
+    object_name: str
+    object_part: str
+    thinking: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Where: one part. `box_xyxy` (4,) float32 or None, `points_xy` (k, 2) float32, `mask` (H, W) bool."""
+
+    box_xyxy: np.ndarray | None
+    points_xy: np.ndarray
+    mask: np.ndarray
+    score: float | None = None
+
+    @property
+    def tight_box_xyxy(self) -> np.ndarray | None:
+        """The box (4,) float32 around the mask's pixels, None for a blank mask."""
+        rows, columns = np.flatnonzero(self.mask.any(1)), np.flatnonzero(self.mask.any(0))
+        if not len(rows):
+            return None
+        return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Query:
+    """A question to the agent: all that a stage may know of a sample. `id` is unique within a run."""
+
+    id: str
+    image: str | Path | bytes | np.ndarray | Image
+    instruction: str
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """Answers known beforehand; the stages that would find them do not run.
+
+    For people who know the part they want, and for oracle runs that ask what a stage costs.
+    `detection` is an `experts.base.Detection`; `regions` are final.
+    """
+
+    target: Target | None = None
+    detection: Any = None
+    regions: tuple[Region, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Step:
+    """One model call: who was asked what by which stage, what it answered and what it took.
+
+    `seconds` is wall time including retries; `cost` is in US dollars, None where no price is known.
+    """
+
+    stage: str
+    role: str
+    expert: str
+    seconds: float = 0.0
+    cached: bool = False
+    attempts: int = 1
+    tokens_in: int = 0
+    tokens_out: int = 0
+    cost: float | None = None
+    prompt_hash: str = ""
+    prompt: str = ""
+    answer: str = ""
+    request_id: str = ""
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """All model calls behind one answer, in order."""
+
+    steps: tuple[Step, ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        return sum(step.seconds for step in self.steps)
+
+    @property
+    def cost(self) -> float:
+        """Dollars known to have been spent on calls that were not answered from the cache."""
+        return sum(step.cost or 0.0 for step in self.steps if not step.cached)
+
+
+@dataclass(frozen=True, eq=False)
+class Affordance:
+    """The answer for one image and one instruction.
+
+    `size_wh` is (width, height) of the image in pixels; `image` is that picture, upright and RGB, kept
+    for drawing (None when the value was read back from a file); `id` is the query's, where there was one.
+    """
+
+    instruction: str
+    size_wh: tuple[int, int]
+    imagination: Imagination | None = None
+    target: Target | None = None
+    regions: tuple[Region, ...] = ()
+    status: Status = "ok"
+    error: str | None = None
+    trace: Trace = field(default_factory=Trace)
+    image: Image | None = field(default=None, repr=False)
+    id: str = ""
+
+    @property
+    def mask(self) -> np.ndarray:
+        """The union of the regions' masks, (H, W) bool."""
+        width, height = self.size_wh
+        union = np.zeros((height, width), dtype=bool)
+        for region in self.regions:
+            union |= region.mask
+        return union
+
+    @property
+    def boxes_xyxy(self) -> np.ndarray:
+        """The boxes of the regions that have one, (n, 4) float32."""
+        boxes = [region.box_xyxy for region in self.regions if region.box_xyxy is not None]
+        return np.array(boxes, np.float32).reshape(-1, 4)
+
+    @property
+    def points_xy(self) -> np.ndarray:
+        """All key points, (n, 2) float32."""
+        if not self.regions:
+            return np.zeros((0, 2), np.float32)
+        return np.concatenate([region.points_xy.reshape(-1, 2) for region in self.regions]).astype(np.float32)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the pictures, ready for `json.dumps`; masks as COCO RLE."""
+        from dataclasses import asdict
+
+        return {
+            "schema": SCHEMA,
+            "id": self.id,
+            "instruction": self.instruction,
+            "size_wh": list(self.size_wh),
+            "status": self.status,
+            "error": self.error,
+            "target": asdict(self.target) if self.target else None,
+            "imagination": {"prompt": self.imagination.prompt} if self.imagination else None,
+            "boxes_xyxy": _floats(self.boxes_xyxy),
+            "points_xy": _floats(self.points_xy),
+            "mask": rle.encode(self.mask),
+            "regions": [
+                {
+                    "box_xyxy": None if region.box_xyxy is None else _floats(region.box_xyxy),
+                    "points_xy": _floats(region.points_xy),
+                    "mask": rle.encode(region.mask),
+                    "score": region.score,
+                }
+                for region in self.regions
+            ],
+            "trace": [asdict(step) for step in self.trace.steps],
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Affordance:
+        """The inverse of `to_dict`; pictures are None.
+
+        Raises:
+            DataError: the value was not written by `to_dict`, or by a newer version of it.
+        """
+        if data.get("schema") != SCHEMA:
+            raise DataError(f"an affordance of schema {data.get('schema')!r}; this version reads {SCHEMA}")
+        try:
+            width, height = data["size_wh"]
+            imagined = data["imagination"]
+            return cls(
+                instruction=data["instruction"],
+                size_wh=(int(width), int(height)),
+                imagination=Imagination(imagined["prompt"], None) if imagined else None,
+                target=Target(**data["target"]) if data["target"] else None,
+                regions=tuple(_region(row) for row in data["regions"]),
+                status=data["status"],
+                error=data["error"],
+                trace=Trace(tuple(Step(**step) for step in data["trace"])),
+                id=data.get("id", ""),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise DataError(f"not an affordance as this package writes it: {error!r}") from error
+
+    def save(self, folder: str | Path) -> Path:
+        """Write affordance.json, mask.png, overlay.png and imagination.png (the last two if there is a picture).
+
+        Returns the folder. Raises InputError if it cannot be written.
+        """
+        from a4agent.saving import save
+
+        return save(self, Path(folder))
+
+    def to_supervision(self) -> Any:
+        """The regions as `supervision.Detections`; needs the extra `interop`."""
+        from a4agent.interop.supervision import to_supervision
+
+        return to_supervision(self)
+
+    def to_coco(self, image_id: int = 1, category_id: int = 1) -> list[dict[str, Any]]:
+        """The regions as COCO annotations (RLE masks, xywh boxes, key points)."""
+        from a4agent.interop.coco import to_coco
+
+        return to_coco(self, image_id=image_id, category_id=category_id)
+
+
+def _floats(array: np.ndarray) -> Any:
+    return np.round(array.astype(np.float64), 2).tolist()
+
+
+def _region(row: Mapping[str, Any]) -> Region:
+    box = cast("list[float] | None", row["box_xyxy"])
+    return Region(
+        box_xyxy=None if box is None else np.array(box, np.float32),
+        points_xy=np.array(row["points_xy"], np.float32).reshape(-1, 2),
+        mask=rle.decode(row["mask"]),
+        score=row["score"],
+    )

@@ -1,0 +1,297 @@
+"""Settings: flags over environment over `a4.toml` over profile, checked once, misspellings answered.
+
+    a4 predict mug.jpg "drink" --profile paper --set spotter.segmenter=sam2:tiny    flags
+    A4_SPOTTER__SEGMENTER=sam2:tiny A4_PROFILE=paper                                 environment
+    a4.toml: profile = "paper"; [spotter] segmenter = "sam2:tiny"                    file in the working folder
+    profiles/paper.toml                                                              profile
+
+An expert is "provider:model" or a table {expert = "provider:model", SETTING = VALUE}; a stage or the
+segmenter is switched off with "off". Replacing an expert drops the settings of the one it replaces.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, cast
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from a4agent.errors import ConfigError, UnknownNameError, nearest
+from a4agent.images import MAX_PIXELS
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+PROFILES = Path(__file__).parent / "profiles"
+FILE = "a4.toml"
+PREFIX = "A4_"
+OTHER_VARIABLES = frozenset({"A4_CACHE_DIR", "A4_SERVER_TOKEN"})
+STAGES = ("dreamer", "thinker", "spotter")
+
+
+class Table(BaseModel):
+    """A table of settings that knows its keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ExpertSettings(BaseModel):
+    """Which expert plays a role; what else stands in its table are its own settings."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    expert: str
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_text(cls, value: Any) -> Any:
+        return {"expert": value} if isinstance(value, str) else value
+
+    @field_validator("expert")
+    @classmethod
+    def _has_a_provider(cls, value: str) -> str:
+        if ":" not in value or value.startswith(":"):
+            raise ValueError(f"an expert is written 'provider:model' (such as 'sam2:tiny'), not {value!r}")
+        return value
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The expert's own settings."""
+        return dict(self.model_extra or {})
+
+
+class DreamerSettings(Table):
+    vlm: ExpertSettings
+    editor: ExpertSettings
+    prompts: str = "paper"
+    seed: int = 0
+    max_tokens: int = Field(512, gt=0)
+
+
+class ThinkerSettings(Table):
+    vlm: ExpertSettings
+    prompts: str = "paper"
+    max_tokens: int = Field(2048, gt=0)
+    reasks: int = Field(2, ge=0, le=5)
+    structured: bool = False
+
+
+class SpotterSettings(Table):
+    detector: ExpertSettings
+    segmenter: ExpertSettings | None = None
+    pairing: Literal["optimal", "paper"] = "optimal"
+
+
+class ImageSettings(Table):
+    max_pixels: int = Field(MAX_PIXELS, gt=0)
+
+
+class EngineSettings(Table):
+    """How many samples at once are run; see `a4agent.engine`."""
+
+    cache: Literal["off", "read", "write"] = "off"
+    cache_dir: Path | None = None
+    cache_gb: float = Field(20.0, gt=0)
+    in_flight: int | None = Field(None, gt=0)
+    batch_wait_ms: float = Field(4.0, ge=0)
+    retries: int = Field(4, ge=0)
+    max_cost: float | None = Field(None, ge=0)
+    max_seconds: float | None = Field(None, gt=0)
+    max_sample_seconds: float | None = Field(None, gt=0)
+
+
+class ProfileInfo(Table):
+    """What a profile tells people before they choose it."""
+
+    summary: str = ""
+    memory: str = ""
+    licences: list[str] = []
+    downloads: list[str] = []
+    needs: list[str] = []
+    notes: str = ""
+
+
+class Settings(Table):
+    """All settings of one agent, after merging."""
+
+    name: str
+    profile: ProfileInfo = ProfileInfo()
+    dreamer: DreamerSettings | None = None
+    thinker: ThinkerSettings | None = None
+    spotter: SpotterSettings
+    image: ImageSettings = ImageSettings()
+    engine: EngineSettings = EngineSettings()
+    ray: dict[str, dict[str, float]] = {}
+
+    def expert_specs(self) -> dict[str, ExpertSettings]:
+        """The experts by the dotted name of their role ("spotter.detector"), in the order of the stages."""
+        found: dict[str, ExpertSettings] = {}
+        for stage in STAGES:
+            table = getattr(self, stage)
+            for role in type(table).model_fields if table else ():
+                if isinstance(value := getattr(table, role), ExpertSettings):
+                    found[f"{stage}.{role}"] = value
+        return found
+
+
+def profile_names() -> list[str]:
+    """The profiles that come with the package."""
+    return sorted(path.stem for path in PROFILES.glob("*.toml"))
+
+
+def load_settings(
+    profile: str | Path | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    environ: Mapping[str, str] | None = None,
+    folder: Path | None = None,
+) -> Settings:
+    """Merge and check the settings; `overrides` maps dotted names to values ({"spotter.segmenter": "sam2:tiny"}).
+
+    Raises:
+        UnknownNameError: an unknown profile, setting or `A4_` variable; the message suggests the nearest.
+        ConfigError: a value that does not fit, or a file that is not TOML.
+    """
+    from_environment = _read_environment(os.environ if environ is None else environ)
+    path = (folder or Path.cwd()) / FILE
+    from_file = read_toml(path) if path.is_file() else {}
+    chosen = profile or from_environment.pop("profile", None) or from_file.pop("profile", None) or "offline"
+    from_environment.pop("profile", None)
+    from_file.pop("profile", None)
+    merged = _read_profile(chosen)
+    for layer in (from_file, from_environment, _nested(overrides or {})):
+        _overlay(merged, layer)
+    merged["name"] = Path(chosen).stem if str(chosen).endswith(".toml") else str(chosen)
+    try:
+        return Settings.model_validate(merged)
+    except ValidationError as error:
+        raise _explained(error, str(chosen)) from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The contents of a TOML file.
+
+    Raises:
+        ConfigError: it cannot be read or is not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{str(path)!r} cannot be read: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{str(path)!r} is not TOML: {error}") from error
+
+
+def parse_value(text: str) -> Any:
+    """A value typed on a command line or in a variable: TOML if it is TOML (4, true, [1, 2], "x"), else the text."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except (tomllib.TOMLDecodeError, KeyError):
+        return text
+
+
+def _read_profile(profile: str | Path) -> dict[str, Any]:
+    path = Path(profile)
+    if path.suffix == ".toml":
+        return read_toml(path)
+    if str(profile) not in profile_names():
+        raise UnknownNameError.of("profile", str(profile), profile_names(), "`a4 profiles` lists them.")
+    return read_toml(PROFILES / f"{profile}.toml")
+
+
+def _read_environment(environ: Mapping[str, str]) -> dict[str, Any]:
+    """The `A4_*` variables as nested settings: A4_SPOTTER__SEGMENTER=sam2:tiny."""
+    known = _variable_names()
+    found: dict[str, Any] = {}
+    for variable, text in environ.items():
+        if not variable.startswith(PREFIX) or variable in OTHER_VARIABLES:
+            continue
+        if variable not in known and not any(variable.startswith(f"{name}__") for name in _expert_variables()):
+            raise UnknownNameError.of("environment variable", variable, known | OTHER_VARIABLES)
+        keys = variable.removeprefix(PREFIX).lower().split("__")
+        _put(found, keys, text if keys == ["profile"] else parse_value(text))
+    return found
+
+
+def _variable_names() -> set[str]:
+    names = {"A4_PROFILE"}
+    for section, field in Settings.model_fields.items():
+        table = _table_of(field.annotation)
+        if table is None or section == "profile":
+            continue
+        names |= {f"{PREFIX}{section.upper()}"} if section in STAGES else set()
+        names |= {f"{PREFIX}{section.upper()}__{name.upper()}" for name in table.model_fields}
+    return names
+
+
+def _expert_variables() -> list[str]:
+    roles = ("DREAMER__VLM", "DREAMER__EDITOR", "THINKER__VLM", "SPOTTER__DETECTOR", "SPOTTER__SEGMENTER")
+    return [f"{PREFIX}{role}" for role in roles]
+
+
+def _table_of(annotation: Any) -> type[BaseModel] | None:
+    for kind in getattr(annotation, "__args__", (annotation,)):
+        if isinstance(kind, type) and issubclass(kind, Table):
+            return kind
+    return None
+
+
+def _nested(dotted: Mapping[str, Any]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in dotted.items():
+        _put(found, name.split("."), value)
+    return found
+
+
+def _put(tree: dict[str, Any], keys: list[str], value: Any) -> None:
+    for key in keys[:-1]:
+        below = tree.setdefault(key, {})
+        if isinstance(below, str):  # "spotter.segmenter" and then "spotter.segmenter.dtype"
+            below = tree[key] = {"expert": below}
+        tree = cast("dict[str, Any]", below)
+    last = keys[-1]
+    if isinstance(value, str) and isinstance(tree.get(last), dict):
+        value = {**tree[last], "expert": value}
+    tree[last] = value
+
+
+def _overlay(base: dict[str, Any], layer: Mapping[str, Any]) -> None:
+    """Lay `layer` over `base`: tables merge, everything else replaces; "off" and False switch a table off."""
+    for key, value in layer.items():
+        below = base.get(key)
+        if value in ("off", "none", False) and (key in STAGES or key == "segmenter"):
+            base[key] = None
+        elif isinstance(value, Mapping):
+            if isinstance(below, str):
+                below = {"expert": below}
+            if not isinstance(below, dict) or value.get("expert", below.get("expert")) != below.get("expert"):
+                below = {}
+            merged = copy.deepcopy(cast("dict[str, Any]", below))
+            _overlay(merged, cast("Mapping[str, Any]", value))
+            base[key] = merged
+        else:
+            base[key] = value
+
+
+def _explained(error: ValidationError, profile: str) -> ConfigError:
+    first = error.errors()[0]
+    place = [str(part) for part in first["loc"]]
+    name = ".".join(place)
+    if first["type"] == "extra_forbidden":
+        table: type[BaseModel] | None = Settings
+        for part in place[:-1]:
+            field = table.model_fields.get(part) if table else None
+            table = _table_of(field.annotation) if field else None
+        known = list(table.model_fields) if table else []
+        near = nearest(place[-1], known)
+        guess = f"did you mean {near!r}?" if near else f"known: {', '.join(known)}."
+        return UnknownNameError(f"unknown setting {name!r}; {guess}")
+    if first["type"] == "missing":
+        return ConfigError(f"the setting {name!r} is missing in profile {profile!r}; add --set {name}=VALUE")
+    return ConfigError(f"setting {name!r}: {first['msg']}, not {first['input']!r}")

@@ -1,0 +1,174 @@
+"""Everything that can go wrong, by whose move it is to put it right.
+
+    A4Error
+    ├── UserError                 the caller can fix it: the message ends with how
+    │   ├── InputError            an image or an instruction that cannot be used
+    │   ├── ConfigError           a setting, profile or file of settings that does not fit
+    │   ├── UnknownNameError      a provider, profile or benchmark nobody registered (suggests the nearest)
+    │   ├── MissingExtraError     a library that an optional feature needs is not installed
+    │   ├── CredentialError       a key is missing, or the provider refuses it
+    │   ├── ModelFilesError       a checkpoint that is not there, not complete or not a checkpoint
+    │   ├── DataError             a dataset, predictions or run folder that cannot be read
+    │   └── ResourceError         the model does not fit this machine, whatever the batch
+    ├── AnswerError               a model answered, and the answer cannot be used
+    │   ├── UnreadableAnswer      not in the form that was asked for
+    │   ├── TruncatedAnswer       cut off by the token limit
+    │   └── RefusedAnswer         the model or its guard declined
+    ├── ProviderError             the model could not be asked
+    │   ├── RateLimited           too many requests; `retry_after` seconds if the provider said
+    │   ├── ProviderTimeout       no answer in time
+    │   ├── ProviderUnavailable   5xx, a refused or broken connection
+    │   ├── OutOfMemory           this batch was too large; a smaller one may fit
+    │   └── RequestRejected       the provider will never accept this request
+    └── BudgetExceeded            the run was told to stop here (money or time)
+
+Each class says whether the same call may succeed later (`retryable`) and whether every other
+sample would fail the same way (`fatal`: the engine stops the run at the first one).
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Iterable
+from types import ModuleType
+
+
+class A4Error(Exception):
+    """Base of all errors raised on purpose by a4agent."""
+
+    retryable = False
+    fatal = False
+
+
+class UserError(A4Error):
+    """Something the caller can put right."""
+
+
+class InputError(UserError):
+    """An image or instruction that cannot be used."""
+
+
+class ConfigError(UserError):
+    """A setting that does not fit."""
+
+    fatal = True
+
+
+class UnknownNameError(ConfigError):
+    """A name that is not registered."""
+
+    @classmethod
+    def of(cls, kind: str, name: str, known: Iterable[str], hint: str = "") -> UnknownNameError:
+        """Build the message "unknown KIND 'NAME'; did you mean ...?" from the known names."""
+        names = sorted(known)
+        near = nearest(name, names)
+        guess = f"; did you mean {near!r}?" if near else f"; known: {', '.join(names) or 'none'}."
+        return cls(f"unknown {kind} {name!r}{guess}{' ' + hint if hint else ''}")
+
+
+class MissingExtraError(UserError):
+    """A library of an optional extra is not installed."""
+
+    fatal = True
+
+
+class CredentialError(UserError):
+    """A key is missing or refused."""
+
+    fatal = True
+
+
+class ModelFilesError(UserError):
+    """A checkpoint that cannot be loaded."""
+
+    fatal = True
+
+
+class DataError(UserError):
+    """A dataset, predictions folder or run folder that cannot be read."""
+
+
+class ResourceError(UserError):
+    """The model does not fit this machine."""
+
+    fatal = True
+
+
+class AnswerError(A4Error):
+    """A model answered, but the answer cannot be used."""
+
+
+class UnreadableAnswer(AnswerError):
+    """The answer is not in the form that was asked for."""
+
+
+class TruncatedAnswer(AnswerError):
+    """The answer was cut off by the token limit."""
+
+
+class RefusedAnswer(AnswerError):
+    """The model, or a guard in front of it, declined."""
+
+
+class ProviderError(A4Error):
+    """A model could not be asked."""
+
+
+class RateLimited(ProviderError):
+    """The provider asks to slow down. `retry_after` is in seconds, None if it did not say."""
+
+    retryable = True
+
+    def __init__(self, message: str, retry_after: float | None = None) -> None:
+        super().__init__(message)
+        self.retry_after = retry_after
+
+
+class ProviderTimeout(ProviderError):
+    """No answer came in time."""
+
+    retryable = True
+
+
+class ProviderUnavailable(ProviderError):
+    """The provider failed or could not be reached."""
+
+    retryable = True
+
+
+class OutOfMemory(ProviderError):
+    """The accelerator or machine ran out of memory on this batch."""
+
+    retryable = True
+
+
+class RequestRejected(ProviderError):
+    """The provider refuses this request for good."""
+
+
+class BudgetExceeded(A4Error):
+    """A budget of money or time is used up."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """The known name most like `name`, or None if nothing is near."""
+    found = difflib.get_close_matches(name, list(known), n=1, cutoff=0.55)
+    return found[0] if found else None
+
+
+def require(module: str, extra: str) -> ModuleType:
+    """Import `module`, or say which extra brings it.
+
+    Raises:
+        MissingExtraError: the module is not installed; the message holds the pip command.
+    """
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        top = module.partition(".")[0]
+        if error.name is None or error.name.partition(".")[0] != top:
+            raise
+        raise MissingExtraError(
+            f"{top!r} is not installed; it comes with the extra {extra!r}: pip install 'a4agent[{extra}]'"
+        ) from error

@@ -1,0 +1,115 @@
+"""From "provider:model" to an expert.
+
+A provider is an entry point of the group `a4agent.experts` that names a factory:
+
+    [project.entry-points."a4agent.experts"]
+    sam2 = "a4agent.experts.sam2:create"
+
+    def create(model: str, role: Role, *, dtype: str = "auto", ...) -> Expert
+
+The keyword-only parameters of the factory are the expert's settings; their names and defaults are
+all there is to know about them, so a misspelt one is an error that suggests the right one. Built-in
+experts are registered in the same way as a stranger's. Nothing is imported before it is asked for.
+"""
+
+from __future__ import annotations
+
+import inspect
+import warnings
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, cast
+
+from a4agent.errors import A4Error, ConfigError, UnknownNameError
+from a4agent.experts.base import Expert, Role
+
+GROUP = "a4agent.experts"
+VERBS: dict[Role, str] = {"vlm": "chat", "editor": "edit", "detector": "detect", "segmenter": "segment"}
+Factory = Callable[..., Expert]
+
+_added: dict[str, Factory] = {}
+
+
+def register(provider: str, factory: Factory) -> None:
+    """Add a provider for this process, without packaging (tests, notebooks). Replaces one of the same name."""
+    _added[provider] = factory
+
+
+@lru_cache(maxsize=1)
+def _entry_points() -> Mapping[str, EntryPoint]:
+    found: dict[str, EntryPoint] = {}
+    for point in entry_points(group=GROUP):
+        if point.name in found and found[point.name].value != point.value:
+            warnings.warn(f"two packages register the expert provider {point.name!r}; using {found[point.name].value}")
+            continue
+        found[point.name] = point
+    return found
+
+
+def providers() -> list[str]:
+    """The names of all registered providers."""
+    return sorted({*_entry_points(), *_added})
+
+
+def split(spec: str) -> tuple[str, str]:
+    """ "sam2:large" -> ("sam2", "large").
+
+    Raises:
+        ConfigError: there is no colon.
+    """
+    provider, colon, model = spec.partition(":")
+    if not colon or not provider:
+        raise ConfigError(f"an expert is written 'provider:model' (such as 'sam2:tiny'), not {spec!r}")
+    return provider, model
+
+
+def factory_of(provider: str) -> Factory:
+    """The factory of a provider.
+
+    Raises:
+        UnknownNameError: nobody registered it; the message suggests the nearest name.
+        ConfigError: it is registered, but its module cannot be loaded.
+    """
+    if provider in _added:
+        return _added[provider]
+    point = _entry_points().get(provider)
+    if point is None:
+        raise UnknownNameError.of("expert provider", provider, providers(), "`a4 models list` shows what there is.")
+    try:
+        return cast(Factory, point.load())
+    except A4Error:
+        raise
+    except Exception as error:
+        message = f"the expert provider {provider!r} ({point.value}) cannot be loaded: {error!r}"
+        warnings.warn(message)
+        raise ConfigError(message) from error
+
+
+def settings_of(factory: Factory) -> dict[str, Any] | None:
+    """Names and defaults of an expert's settings; None if it takes any."""
+    parameters = inspect.signature(factory).parameters.values()
+    if any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters):
+        return None
+    return {p.name: p.default for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
+
+
+def create(spec: str, role: Role, settings: Mapping[str, Any] | None = None) -> Expert:
+    """Build the expert `spec` for a role, with its settings.
+
+    Raises:
+        UnknownNameError: no such provider, or no such setting.
+        ConfigError: the expert cannot play this role, or a setting has a value it does not take.
+    """
+    provider, model = split(spec)
+    factory = factory_of(provider)
+    settings = dict(settings or {})
+    known = settings_of(factory)
+    if known is not None:
+        for name in settings:
+            if name not in known:
+                raise UnknownNameError.of(f"setting of {spec!r}:", name, known)
+    expert = factory(model, role, **settings)
+    if not callable(getattr(expert, VERBS[role], None)):
+        raise ConfigError(f"{spec!r} cannot be a {role}: it has no method {VERBS[role]!r}")
+    return expert

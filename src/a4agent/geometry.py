@@ -1,0 +1,83 @@
+"""Boxes and points as models give them, made fit to prompt a segmenter with.
+
+Boxes are (n, 4) xyxy, points (m, 2) xy, in pixels. Pure array functions.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from a4agent.experts.base import Prompt
+
+Pairing = Literal["optimal", "paper"]
+
+
+def clean_boxes(boxes_xyxy: np.ndarray, size_wh: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Order the corners, clip to the image, drop what is left without area or was not a number.
+
+    Returns the boxes (k, 4) float32 and the indices (k,) they had.
+    """
+    boxes = np.asarray(boxes_xyxy, np.float64).reshape(-1, 4)
+    finite = np.isfinite(boxes).all(1)
+    boxes = np.where(finite[:, None], boxes, 0.0)
+    low = np.minimum(boxes[:, :2], boxes[:, 2:])
+    high = np.maximum(boxes[:, :2], boxes[:, 2:])
+    edge = np.array(size_wh, np.float64)
+    ordered = np.concatenate([np.clip(low, 0, edge), np.clip(high, 0, edge)], 1).astype(np.float32)
+    kept = np.flatnonzero(finite & (ordered[:, 2] > ordered[:, 0]) & (ordered[:, 3] > ordered[:, 1]))
+    return ordered[kept], kept
+
+
+def clean_points(points_xy: np.ndarray, size_wh: tuple[int, int]) -> np.ndarray:
+    """The points (k, 2) float32 that lie in the image; one on its right or bottom edge is moved just inside."""
+    points = np.asarray(points_xy, np.float64).reshape(-1, 2)
+    edge = np.array(size_wh, np.float64)
+    points = points[np.isfinite(points).all(1)]
+    points = points[(points >= 0).all(1) & (points <= edge).all(1)]
+    return np.minimum(points, np.nextafter(edge.astype(np.float32), np.float32(0))).astype(np.float32)
+
+
+def pair(boxes_xyxy: np.ndarray, points_xy: np.ndarray, pairing: Pairing) -> list[tuple[int | None, list[int]]]:
+    """Which points belong to which box: a list of (index of a box or None, indices of points), one a region."""
+    if pairing == "paper":
+        return pair_as_paper(len(boxes_xyxy), len(points_xy))
+    return pair_optimally(boxes_xyxy, points_xy)
+
+
+def pair_as_paper(boxes: int, points: int) -> list[tuple[int | None, list[int]]]:
+    """The authors' rule: the i-th box with the i-th point if there are as many, points alone otherwise."""
+    if boxes == points:
+        return [(i, [i]) for i in range(boxes)]
+    return [(None, [i]) for i in range(points)]
+
+
+def pair_optimally(boxes_xyxy: np.ndarray, points_xy: np.ndarray) -> list[tuple[int | None, list[int]]]:
+    """One point to a box at most, inside it, with as many pairs as possible and then the least distance.
+
+    Distance is from the box's centre, in half-sides of the box. A box without a point stands alone. A point
+    that no box took and no box holds is a region of its own; one that lies in a box adds nothing and is left out.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    boxes = np.asarray(boxes_xyxy, np.float64).reshape(-1, 4)
+    points = np.asarray(points_xy, np.float64).reshape(-1, 2)
+    if not len(boxes) or not len(points):
+        return [(i, []) for i in range(len(boxes))] + [(None, [j]) for j in range(len(points))]
+    centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2
+    offset = np.abs(points[None] - centre[:, None]) / np.maximum(half[:, None], 1e-9)
+    inside = (offset <= 1).all(2)
+    outside_cost = 2.0 * (min(len(boxes), len(points)) + 1)
+    cost = np.where(inside, np.sqrt((offset**2).sum(2)), outside_cost)
+    taken = {int(i): int(j) for i, j in zip(*linear_sum_assignment(cost), strict=True) if inside[i, j]}
+    loose = np.flatnonzero(~inside.any(0))
+    return [(i, [taken[i]] if i in taken else []) for i in range(len(boxes))] + [(None, [int(j)]) for j in loose]
+
+
+def to_prompts(boxes_xyxy: np.ndarray, points_xy: np.ndarray, pairing: Pairing) -> tuple[Prompt, ...]:
+    """One segmenter prompt a region."""
+    return tuple(
+        Prompt(None if i is None else boxes_xyxy[i], points_xy[j].reshape(-1, 2))
+        for i, j in pair(boxes_xyxy, points_xy, pairing)
+    )

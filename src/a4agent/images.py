@@ -1,0 +1,138 @@
+"""Pictures in: whatever a person has becomes an upright 8-bit RGB `PIL.Image`, or an error that says why not."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from a4agent.errors import InputError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+MAX_PIXELS = 100_000_000
+SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".gif", ".ppm"})
+
+
+def load_image(source: str | Path | bytes | np.ndarray | Image, *, max_pixels: int = MAX_PIXELS) -> Image:
+    """An RGB picture from a path, the bytes of a file, a uint8 array (H, W, 3) or (H, W), or a PIL image.
+
+    EXIF rotation is applied, the first frame of an animation taken, transparency laid on white, 16 bits
+    brought to 8.
+
+    Raises:
+        InputError: not there, empty, cut off, not an image, or more than `max_pixels` pixels.
+    """
+    from PIL import Image
+
+    if isinstance(source, Image.Image):
+        return _to_rgb(source, "the image", max_pixels)
+    if isinstance(source, np.ndarray):
+        return _from_array(source, max_pixels)
+    if isinstance(source, bytes):
+        return _from_file(io.BytesIO(source), "the image", len(source), max_pixels)
+    path = Path(source)
+    try:
+        size = path.stat().st_size
+        if path.is_dir():
+            raise InputError(f"{str(path)!r} is a folder, not an image")
+        with path.open("rb") as file:
+            return _from_file(file, repr(str(path)), size, max_pixels)
+    except FileNotFoundError as error:
+        raise InputError(f"no such image: {str(path)!r}") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{str(path)!r} cannot be read: {error}") from error
+
+
+def _from_file(file: io.BufferedIOBase | io.BytesIO, name: str, size: int, max_pixels: int) -> Image:
+    from PIL import Image, UnidentifiedImageError
+
+    if size == 0:
+        raise InputError(f"{name} is an empty file")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            warnings.simplefilter("ignore", UserWarning)  # broken EXIF and the like: the pixels decide
+            with Image.open(file) as image:
+                return _to_rgb(image, name, max_pixels)
+    except UnidentifiedImageError as error:
+        raise InputError(f"{name} is not an image in a format that can be read (JPEG, PNG, WebP, ...)") from error
+    except Image.DecompressionBombError as error:
+        raise InputError(f"{name} has too many pixels; the limit is the setting image.max_pixels") from error
+    except InputError:
+        raise
+    except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError, KeyError) as error:
+        raise InputError(f"{name} is damaged or cut off: {error}") from error
+    except Exception as error:  # decoders raise struct.error, zlib.error and more of their own
+        raise InputError(f"{name} cannot be decoded: {error!r}") from error
+
+
+def _from_array(array: np.ndarray, max_pixels: int) -> Image:
+    from PIL import Image
+
+    if array.dtype != np.uint8 or array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] not in (3, 4)):
+        raise InputError(f"an image array is uint8 of shape (H, W, 3), not {array.dtype} of {array.shape}")
+    if not array.size:
+        raise InputError(f"an image array without pixels: {array.shape}")
+    return _to_rgb(Image.fromarray(array), "the image", max_pixels)
+
+
+def _to_rgb(image: Image, name: str, max_pixels: int) -> Image:
+    from PIL import Image, ImageOps
+
+    width, height = image.size
+    if width * height > max_pixels:
+        raise InputError(
+            f"{name} has {width} x {height} pixels, over the limit of {max_pixels}; raise the setting image.max_pixels"
+        )
+    if width * height == 0:
+        raise InputError(f"{name} has no pixels")
+    upright = ImageOps.exif_transpose(image)
+    if upright.mode in ("I", "F") or upright.mode.startswith("I;16"):
+        upright = Image.fromarray(_to_8_bit(np.asarray(upright)))
+    if upright.mode in ("RGBA", "LA", "PA", "La", "RGBa") or "transparency" in upright.info:
+        upright = upright.convert("RGBA")
+        ground = Image.new("RGBA", upright.size, "white")
+        upright = Image.alpha_composite(ground, upright)
+    rgb = upright.convert("RGB")
+    rgb.load()
+    return rgb if rgb is not image else rgb.copy()
+
+
+def _to_8_bit(samples: np.ndarray) -> np.ndarray:
+    """16-bit counts by their full scale; floats and wide integers that exceed it by their own range."""
+    values = samples.astype(np.float64)
+    values = np.where(np.isfinite(values), values, 0.0)
+    low, high = float(values.min(initial=0.0)), float(values.max(initial=0.0))
+    if samples.dtype.kind == "f" and high <= 1.0 and low >= 0.0:
+        scale = 1.0
+    elif low >= 0.0 and high <= 255.0 and samples.dtype.itemsize > 2:
+        scale = 255.0
+    elif low >= 0.0 and high <= 65535.0:
+        scale = 65535.0
+    else:
+        values, scale = values - low, max(high - low, 1e-12)
+    return np.clip(values / scale * 255.0 + 0.5, 0, 255).astype(np.uint8)
+
+
+def image_hash(image: Image) -> str:
+    """A sha256 over size and pixels: the same picture has the same name, whatever file it came from."""
+    digest = hashlib.sha256(f"{image.mode} {image.size} ".encode())
+    digest.update(image.tobytes())
+    return digest.hexdigest()
+
+
+def find_images(folder: Path) -> list[Path]:
+    """All image files below `folder`, sorted, hidden ones left out."""
+    return sorted(
+        path
+        for path in folder.rglob("*")
+        if path.suffix.lower() in SUFFIXES
+        and path.is_file()
+        and not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    )
