@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import sys
 from functools import cache
+from importlib import import_module
 from importlib.resources import files
 from typing import Any
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:  # pragma: no cover
-    import tomli as tomllib
+_toml: Any = import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
 
 
 @cache
 def read_toml(package: str, name: str) -> dict[str, Any]:
     """The TOML file `name` of `package`. Read once a process; treat it as read-only."""
-    return tomllib.loads((files(package) / name).read_text(encoding="utf-8"))
+    return _toml.loads((files(package) / name).read_text(encoding="utf-8"))

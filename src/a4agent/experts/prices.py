@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
 from a4agent.data_files import read_toml
 from a4agent.errors import ConfigError
@@ -55,4 +56,5 @@ def price_from_setting(price: Mapping[str, float]) -> Price:
             f"price = {dict(price)!r} is not a price: give input and output (and cached_input, image_input) "
             "in US dollars per million tokens"
         )
-    return Price(**{key: float(value) for key, value in price.items()})
+    stated: dict[str, Any] = {key: float(value) for key, value in price.items()}
+    return Price(**stated)

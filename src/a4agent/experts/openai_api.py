@@ -1,0 +1,278 @@
+"""`openai:MODEL`: a vision-language model behind any OpenAI-compatible server.
+
+    openai:gpt-4o                                                        OpenAI
+    {expert = "openai:Qwen/Qwen2.5-VL-7B-Instruct", base_url = "http://127.0.0.1:8000/v1"}    vLLM, SGLang, ...
+    {expert = "openai:qwen3-vl:8b", server = "ollama"}                   Ollama at its usual place
+
+Images come before the text, in the order of the request, as byte-identical data URLs, so that a server can
+reuse the prefix two stages share. JSON answers go down a ladder (schema, any JSON, text); what a server
+refuses is remembered and not asked for again. Checking the answer is the stage's work.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from a4agent.errors import A4Error, ConfigError, ProviderUnavailable, RefusedAnswer, RequestRejected, UnreadableAnswer
+from a4agent.experts.base import ChatAnswer, ChatRequest, ExpertBase, Role, Usage
+from a4agent.experts.openai_client import Connection, Sent
+from a4agent.experts.picture_bytes import PictureEncoder
+from a4agent.experts.prices import price_from_setting, price_of
+
+_RUNG_WORDS = ("response_format", "json_schema", "json_object", "schema", "grammar", "structured", "guided", "'json'")
+_OPTIONAL = ("temperature", "seed")
+_REFUSING = (400, 422, 501)
+
+
+def create(
+    model: str,
+    role: Role,
+    *,
+    base_url: str = "",
+    server: str = "",
+    api_key_variable: str = "",
+    structured: str = "auto",
+    temperature: float | None = 0.0,
+    seed: int | None = None,
+    detail: str = "",
+    image_format: str = "jpeg",
+    max_side: int = 2048,
+    quality: int = 95,
+    timeout: float = 120.0,
+    max_retries: int = 2,
+    concurrency: int = 8,
+    price: Mapping[str, float] | None = None,
+    extra: Mapping[str, Any] | None = None,
+) -> OpenAIVLM:
+    """A VLM over HTTP.
+
+    Args:
+        model: the name the server knows it by.
+        role: must be "vlm".
+        base_url: the server's address with "/v1"; "" is the usual place of `server`, or OpenAI.
+        server: a name from servers.toml (openai, vllm, sglang, ollama, llama.cpp, transformers, other).
+        api_key_variable: the environment variable with the key, if not the server's usual one.
+        structured: "auto" (the server's ladder) or one fixed rung: "json_schema", "json_object", "text".
+        temperature: None leaves it to the server; it is also left out once the model has refused it.
+        seed: sent if given.
+        detail: OpenAI's "low" or "high" for images; "" leaves it to the server.
+        image_format: "jpeg" or "png".
+        max_side: longer images are shrunk to it before they are sent, in pixels; 0 never.
+        quality: of JPEG.
+        timeout: seconds without a byte until a call counts as failed.
+        max_retries: repeats inside one call (408, 409, 429, 5xx, broken connections), honouring Retry-After.
+        concurrency: calls that may be in flight at once.
+        price: US dollars per million tokens, as {"input": 2.5, "output": 10.0}; overrides the table.
+        extra: fields added to every request as they are, such as {"top_k": 1}.
+
+    Raises:
+        ConfigError: a setting that does not fit.
+        CredentialError: the server needs a key and its variable is not set.
+        MissingExtraError: the openai package is not installed.
+    """
+    if role != "vlm":
+        raise ConfigError(f"'openai:{model}' is a vlm and cannot be a {role}; 'vlm-grounding:' makes it a detector")
+    connection = Connection(
+        model,
+        base_url=base_url,
+        server=server,
+        api_key_variable=api_key_variable,
+        timeout=timeout,
+        max_retries=max_retries,
+    )
+    rungs = connection.server.structured if structured == "auto" else (structured,)
+    if not set(rungs) <= {"json_schema", "json_object", "text"}:
+        raise ConfigError(f"structured = {structured!r}: write auto, json_schema, json_object or text")
+    if concurrency < 1:
+        raise ConfigError(f"concurrency is at least 1, not {concurrency!r}")
+    return OpenAIVLM(
+        connection,
+        PictureEncoder(image_format, max_side, quality),
+        rungs=rungs,
+        optional={"temperature": temperature, "seed": seed},
+        detail=detail,
+        concurrency=concurrency,
+        price=price,
+        extra=extra or {},
+    )
+
+
+class OpenAIVLM(ExpertBase):
+    """A VisionLanguageModel over a `Connection`; `create` explains the settings.
+
+    `max_side` is public: who needs to know the size in which the model sees an image reads it there.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        encoder: PictureEncoder,
+        *,
+        rungs: Sequence[str],
+        optional: Mapping[str, Any],
+        detail: str,
+        concurrency: int,
+        price: Mapping[str, float] | None,
+        extra: Mapping[str, Any],
+    ) -> None:
+        settings = {
+            "base_url": connection.base_url,
+            "structured": list(rungs),
+            **optional,
+            "detail": detail,
+            "image_format": encoder.image_format,
+            "max_side": encoder.max_side,
+            "quality": encoder.quality if encoder.image_format == "jpeg" else None,
+            "extra": dict(extra),
+        }
+        super().__init__(f"openai:{connection.model}", settings=settings, max_batch=1, concurrency=concurrency)
+        self.max_side = encoder.max_side
+        self._connection = connection
+        self._encoder = encoder
+        self._rungs = tuple(rungs)
+        self._optional = {name: value for name, value in optional.items() if value is not None}
+        self._detail = {"detail": detail} if detail else {}
+        self._extra = dict(extra)
+        self._refused: set[str] = set()
+        self._lock = threading.Lock()
+        listed = price_of(connection.model) if connection.server.priced else None
+        self._price = price_from_setting(price) if price else listed
+
+    def chat(self, requests: Sequence[ChatRequest]) -> list[ChatAnswer | A4Error]:
+        """One call a request. Errors that every request would meet are raised, others are answers."""
+        answers: list[ChatAnswer | A4Error] = []
+        for request in requests:
+            try:
+                answers.append(self._ask(request))
+            except A4Error as error:
+                if error.fatal:
+                    raise
+                answers.append(error)
+        return answers
+
+    def close(self) -> None:
+        self._connection.close()
+
+    def _ask(self, request: ChatRequest) -> ChatAnswer:
+        messages = self._messages(request)
+        while True:
+            rung = self._rung(request)
+            fields = self._fields(request, rung)
+            create = partial(_create_completion, messages=messages, **fields)
+            try:
+                completion, sent = self._connection.call(create)
+            except RequestRejected as error:
+                if not self._learn(error, rung, fields):
+                    raise
+            else:
+                return self._read(completion, sent)
+
+    def _messages(self, request: ChatRequest) -> list[dict[str, Any]]:
+        pictures = [
+            {"type": "image_url", "image_url": {"url": self._encoder.data_url(image), **self._detail}}
+            for image in request.images
+        ]
+        system = [{"role": "system", "content": request.system}] if request.system else []
+        return [*system, {"role": "user", "content": [*pictures, {"type": "text", "text": request.text}]}]
+
+    def _fields(self, request: ChatRequest, rung: str) -> dict[str, Any]:
+        server = self._connection.server
+        fields: dict[str, Any] = {"model": self._connection.model, server.max_tokens_field: request.max_tokens}
+        fields |= {name: value for name, value in self._optional.items() if name not in self._refused}
+        if request.attempt and "seed" in fields:
+            fields["seed"] += request.attempt
+        if rung == "json_schema" and request.schema is not None:
+            fields["response_format"] = _schema_format(request.schema, server.schema_shape)
+        elif rung == "json_object":
+            fields["response_format"] = {"type": "json_object"}
+        if self._extra:
+            fields["extra_body"] = self._extra
+        return fields
+
+    def _rung(self, request: ChatRequest) -> str:
+        if request.schema is None:
+            return "text"
+        return next((rung for rung in self._rungs if rung not in self._refused), "text")
+
+    def _learn(self, error: RequestRejected, rung: str, fields: Mapping[str, Any]) -> bool:
+        """Remember which optional part of the request the server refused; False if it was none of them."""
+        if getattr(error.__cause__, "status_code", None) not in _REFUSING:
+            return False
+        said = str(error).lower()
+        refused = [name for name in _OPTIONAL if name in fields and name in said]
+        if not refused and "response_format" in fields and any(word in said for word in _RUNG_WORDS):
+            refused = [rung]
+        with self._lock:
+            self._refused.update(refused)
+        return bool(refused)
+
+    def _read(self, completion: Any, sent: Sent) -> ChatAnswer:
+        choices = getattr(completion, "choices", None)
+        if not choices or getattr(choices[0], "message", None) is None:
+            raise ProviderUnavailable(f"{self._connection} sent an answer without choices")
+        choice, message = choices[0], choices[0].message
+        refusal = getattr(message, "refusal", None)
+        if refusal or choice.finish_reason == "content_filter":
+            raise RefusedAnswer(f"{self._connection} declined: {refusal or 'stopped by its content filter'}")
+        text = _text_of(message.content)
+        finish = "length" if choice.finish_reason == "length" else "stop"
+        if not text.strip() and finish == "stop":
+            raise UnreadableAnswer(f"{self._connection} sent an empty text")
+        kept = (getattr(message, name, None) for name in self._connection.server.reasoning_fields)
+        reasoning = next((str(value) for value in kept if value), "")
+        return ChatAnswer(text, reasoning, finish, self._usage(completion, sent))
+
+    def _usage(self, completion: Any, sent: Sent) -> Usage:
+        usage = getattr(completion, "usage", None)
+        tokens_in = int(getattr(usage, "prompt_tokens", 0) or 0)
+        tokens_out = int(getattr(usage, "completion_tokens", 0) or 0)
+        details = getattr(usage, "prompt_tokens_details", None)
+        cached_in = int(getattr(details, "cached_tokens", 0) or 0)
+        cost = None
+        if self._price is not None and usage is not None:
+            cost = self._price.cost(tokens_in=tokens_in, tokens_out=tokens_out, cached_in=cached_in)
+        return Usage(
+            seconds=sent.seconds,
+            attempts=sent.attempts,
+            tokens_in=tokens_in,
+            tokens_out=tokens_out,
+            cost=cost,
+            request_id=sent.request_id,
+        )
+
+
+def _create_completion(client: Any, **fields: Any) -> Any:
+    return client.chat.completions.with_raw_response.create(**fields)
+
+
+def _text_of(content: Any) -> str:
+    """A message's text: a string, or the text parts of a list."""
+    if isinstance(content, str):
+        return content
+    if isinstance(content, Sequence):
+        parts = [part.get("text") if isinstance(part, Mapping) else getattr(part, "text", "") for part in content]
+        return "".join(str(part) for part in parts if part)
+    return ""
+
+
+def _schema_format(schema: Mapping[str, Any], shape: str) -> dict[str, Any]:
+    """The `response_format` that asks for this schema, with its objects closed as strict servers demand."""
+    closed = _closed(schema)
+    if shape == "flat":
+        return {"type": "json_schema", "schema": closed}
+    return {"type": "json_schema", "json_schema": {"name": "answer", "strict": True, "schema": closed}}
+
+
+def _closed(node: Any) -> Any:
+    """The same JSON schema in which every object requires all its properties and allows no other."""
+    if isinstance(node, Mapping):
+        closed = {key: _closed(value) for key, value in node.items()}
+        if node.get("type") == "object" and isinstance(node.get("properties"), Mapping):
+            closed |= {"additionalProperties": False, "required": list(node["properties"])}
+        return closed
+    if isinstance(node, list):
+        return [_closed(value) for value in node]
+    return node
