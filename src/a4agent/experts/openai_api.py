@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from a4agent.errors import A4Error, ConfigError, ProviderUnavailable, RefusedAnswer, RequestRejected, UnreadableAnswer
+from a4agent.errors import A4Error, ConfigError, ProviderUnavailable, RefusedAnswer, RequestRejected
 from a4agent.experts.base import ChatAnswer, ChatRequest, ExpertBase, Role, Usage
 from a4agent.experts.openai_client import Connection, Sent
 from a4agent.experts.picture_bytes import PictureEncoder
@@ -219,8 +219,6 @@ class OpenAIVLM(ExpertBase):
             raise RefusedAnswer(f"{self._connection} declined: {refusal or 'stopped by its content filter'}")
         text = _text_of(message.content)
         finish = "length" if choice.finish_reason == "length" else "stop"
-        if not text.strip() and finish == "stop":
-            raise UnreadableAnswer(f"{self._connection} sent an empty text")
         kept = (getattr(message, name, None) for name in self._connection.server.reasoning_fields)
         reasoning = next((str(value) for value in kept if value), "")
         return ChatAnswer(text, reasoning, finish, self._usage(completion, sent))
