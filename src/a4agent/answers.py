@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from typing import Any, cast
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
@@ -71,7 +71,7 @@ def read_target(text: str) -> Target:
 def _last_valid(text: str, reasons: list[str]) -> TargetAnswer | None:
     last: TargetAnswer | None = None
     for value in json_values(text):
-        for item in cast("list[Any]", value) if isinstance(value, list) else [value]:
+        for item in value if isinstance(value, list) else [value]:
             try:
                 last = TargetAnswer.model_validate(item)
                 break

@@ -13,20 +13,15 @@ from __future__ import annotations
 
 import copy
 import os
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from a4agent.data_files import toml
 from a4agent.errors import ConfigError, UnknownNameError, nearest
 from a4agent.images import MAX_PIXELS
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 PROFILES = Path(__file__).parent / "profiles"
 FILE = "a4.toml"
@@ -71,14 +66,14 @@ class DreamerSettings(Table):
     editor: ExpertSettings
     prompts: str = "paper"
     seed: int = 0
-    max_tokens: int = Field(512, gt=0)
+    max_tokens: int = Field(default=512, gt=0)
 
 
 class ThinkerSettings(Table):
     vlm: ExpertSettings
     prompts: str = "paper"
-    max_tokens: int = Field(2048, gt=0)
-    reasks: int = Field(2, ge=0, le=5)
+    max_tokens: int = Field(default=2048, gt=0)
+    reasks: int = Field(default=2, ge=0, le=5)
     structured: bool = False
 
 
@@ -89,7 +84,7 @@ class SpotterSettings(Table):
 
 
 class ImageSettings(Table):
-    max_pixels: int = Field(MAX_PIXELS, gt=0)
+    max_pixels: int = Field(default=MAX_PIXELS, gt=0)
 
 
 class EngineSettings(Table):
@@ -97,13 +92,13 @@ class EngineSettings(Table):
 
     cache: Literal["off", "read", "write"] = "off"
     cache_dir: Path | None = None
-    cache_gb: float = Field(20.0, gt=0)
-    in_flight: int | None = Field(None, gt=0)
-    batch_wait_ms: float = Field(4.0, ge=0)
-    retries: int = Field(4, ge=0)
-    max_cost: float | None = Field(None, ge=0)
-    max_seconds: float | None = Field(None, gt=0)
-    max_sample_seconds: float | None = Field(None, gt=0)
+    cache_gb: float = Field(default=20.0, gt=0)
+    in_flight: int | None = Field(default=None, gt=0)
+    batch_wait_ms: float = Field(default=4.0, ge=0)
+    retries: int = Field(default=4, ge=0)
+    max_cost: float | None = Field(default=None, ge=0)
+    max_seconds: float | None = Field(default=None, gt=0)
+    max_sample_seconds: float | None = Field(default=None, gt=0)
 
 
 class ProfileInfo(Table):
@@ -181,18 +176,18 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: it cannot be read or is not TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return toml.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{str(path)!r} cannot be read: {error}") from error
-    except tomllib.TOMLDecodeError as error:
+    except toml.TOMLDecodeError as error:
         raise ConfigError(f"{str(path)!r} is not TOML: {error}") from error
 
 
 def parse_value(text: str) -> Any:
     """A value typed on a command line or in a variable: TOML if it is TOML (4, true, [1, 2], "x"), else the text."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except (tomllib.TOMLDecodeError, KeyError):
+        return toml.loads(f"value = {text}")["value"]
+    except (toml.TOMLDecodeError, KeyError):
         return text
 
 

@@ -8,10 +8,10 @@ from importlib import import_module
 from importlib.resources import files
 from typing import Any
 
-_toml: Any = import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
+toml: Any = import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
 
 
 @cache
 def read_toml(package: str, name: str) -> dict[str, Any]:
     """The TOML file `name` of `package`. Read once a process; treat it as read-only."""
-    return _toml.loads((files(package) / name).read_text(encoding="utf-8"))
+    return toml.loads((files(package) / name).read_text(encoding="utf-8"))

@@ -5,6 +5,7 @@ Boxes are (n, 4) xyxy, points (m, 2) xy, in pixels. Pure array functions.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from typing import Literal
 
 import numpy as np
@@ -12,6 +13,8 @@ import numpy as np
 from a4agent.experts.base import Prompt
 
 Pairing = Literal["optimal", "paper"]
+Pair = tuple[int | None, list[int]]
+"""One region: the index of its box or None, and the indices of its points."""
 
 
 def clean_boxes(boxes_xyxy: np.ndarray, size_wh: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -20,7 +23,7 @@ def clean_boxes(boxes_xyxy: np.ndarray, size_wh: tuple[int, int]) -> tuple[np.nd
     Returns the boxes (k, 4) float32 and the indices (k,) they had.
     """
     boxes = np.asarray(boxes_xyxy, np.float64).reshape(-1, 4)
-    finite = np.isfinite(boxes).all(1)
+    finite = np.all(np.isfinite(boxes), axis=1)
     boxes = np.where(finite[:, None], boxes, 0.0)
     low = np.minimum(boxes[:, :2], boxes[:, 2:])
     high = np.maximum(boxes[:, :2], boxes[:, 2:])
@@ -39,21 +42,21 @@ def clean_points(points_xy: np.ndarray, size_wh: tuple[int, int]) -> np.ndarray:
     return np.minimum(points, np.nextafter(edge.astype(np.float32), np.float32(0))).astype(np.float32)
 
 
-def pair(boxes_xyxy: np.ndarray, points_xy: np.ndarray, pairing: Pairing) -> list[tuple[int | None, list[int]]]:
-    """Which points belong to which box: a list of (index of a box or None, indices of points), one a region."""
+def pair(boxes_xyxy: np.ndarray, points_xy: np.ndarray, pairing: Pairing) -> list[Pair]:
+    """Which points belong to which box."""
     if pairing == "paper":
         return pair_as_paper(len(boxes_xyxy), len(points_xy))
     return pair_optimally(boxes_xyxy, points_xy)
 
 
-def pair_as_paper(boxes: int, points: int) -> list[tuple[int | None, list[int]]]:
+def pair_as_paper(boxes: int, points: int) -> list[Pair]:
     """The authors' rule: the i-th box with the i-th point if there are as many, points alone otherwise."""
     if boxes == points:
-        return [(i, [i]) for i in range(boxes)]
-    return [(None, [i]) for i in range(points)]
+        return _all_boxes(boxes, lambda i: [i])
+    return _lone_points(range(points))
 
 
-def pair_optimally(boxes_xyxy: np.ndarray, points_xy: np.ndarray) -> list[tuple[int | None, list[int]]]:
+def pair_optimally(boxes_xyxy: np.ndarray, points_xy: np.ndarray) -> list[Pair]:
     """One point to a box at most, inside it, with as many pairs as possible and then the least distance.
 
     Distance is from the box's centre, in half-sides of the box. A box without a point stands alone. A point
@@ -64,15 +67,23 @@ def pair_optimally(boxes_xyxy: np.ndarray, points_xy: np.ndarray) -> list[tuple[
     boxes = np.asarray(boxes_xyxy, np.float64).reshape(-1, 4)
     points = np.asarray(points_xy, np.float64).reshape(-1, 2)
     if not len(boxes) or not len(points):
-        return [(i, []) for i in range(len(boxes))] + [(None, [j]) for j in range(len(points))]
+        return _all_boxes(len(boxes), lambda _: []) + _lone_points(range(len(points)))
     centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2
     offset = np.abs(points[None] - centre[:, None]) / np.maximum(half[:, None], 1e-9)
-    inside = (offset <= 1).all(2)
+    inside = np.all(offset <= 1, axis=2)
     outside_cost = 2.0 * (min(len(boxes), len(points)) + 1)
     cost = np.where(inside, np.sqrt((offset**2).sum(2)), outside_cost)
     taken = {int(i): int(j) for i, j in zip(*linear_sum_assignment(cost), strict=True) if inside[i, j]}
-    loose = np.flatnonzero(~inside.any(0))
-    return [(i, [taken[i]] if i in taken else []) for i in range(len(boxes))] + [(None, [int(j)]) for j in loose]
+    loose = [int(j) for j in np.flatnonzero(~inside.any(0))]
+    return _all_boxes(len(boxes), lambda i: [taken[i]] if i in taken else []) + _lone_points(loose)
+
+
+def _all_boxes(count: int, points_of: Callable[[int], list[int]]) -> list[Pair]:
+    return [(i, points_of(i)) for i in range(count)]
+
+
+def _lone_points(points: Iterable[int]) -> list[Pair]:
+    return [(None, [j]) for j in points]
 
 
 def to_prompts(boxes_xyxy: np.ndarray, points_xy: np.ndarray, pairing: Pairing) -> tuple[Prompt, ...]:

@@ -6,7 +6,7 @@ import hashlib
 import io
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
@@ -49,7 +49,7 @@ def load_image(source: str | Path | bytes | np.ndarray | Image, *, max_pixels: i
         raise InputError(f"{str(path)!r} cannot be read: {error}") from error
 
 
-def _from_file(file: io.BufferedIOBase | io.BytesIO, name: str, size: int, max_pixels: int) -> Image:
+def _from_file(file: IO[bytes], name: str, size: int, max_pixels: int) -> Image:
     from PIL import Image, UnidentifiedImageError
 
     if size == 0:

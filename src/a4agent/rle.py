@@ -42,7 +42,8 @@ def decode(rle: Mapping[str, Any]) -> np.ndarray:
         return np.zeros((height, width), dtype=bool)
     try:
         if isinstance(counts, list):
-            packed: Any = coco.frPyObjects({"size": [height, width], "counts": counts}, height, width)
+            plain: Any = {"size": [height, width], "counts": counts}
+            packed: Any = coco.frPyObjects(plain, height, width)
         else:
             raw = counts.encode("ascii") if isinstance(counts, str) else bytes(counts)
             packed = {"size": [height, width], "counts": raw}

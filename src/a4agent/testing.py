@@ -18,7 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -56,7 +56,7 @@ class Script(ExpertBase, Generic[RequestT, ScriptedAnswerT]):
         concurrency: int = 1,
     ) -> None:
         super().__init__(id, max_batch=max_batch, concurrency=concurrency)
-        self._compute = cast("Callable[[RequestT], Any]", answers) if callable(answers) else None
+        self._compute = answers if callable(answers) else None
         self._queue: deque[Any] = deque() if callable(answers) else deque(answers)
         self._lock = threading.Lock()
         self.seconds = seconds

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Any, cast, overload
+from typing import Any, overload
 
 from a4agent.affordance import Step, Trace
 from a4agent.errors import A4Error, ProviderError
@@ -106,7 +106,7 @@ def _prompt_of(request: Request) -> str:
 
 
 def _listed(array: Any) -> Any:
-    return None if array is None else [round(float(x), 1) for x in cast(Any, array).ravel()]
+    return None if array is None else [round(float(x), 1) for x in array.ravel()]
 
 
 def _text_of(answer: Answer) -> str:

@@ -1,0 +1,89 @@
+"""What the commands share: settings from options, messages on stderr, exit codes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from a4agent.errors import A4Error, ConfigError, UserError
+
+if TYPE_CHECKING:
+    from a4agent.config import Settings
+
+OK, SOME_FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
+
+messages = Console(stderr=True, highlight=False)
+"""Where everything goes that is not the result."""
+
+ProfileOption = Annotated[
+    str | None, typer.Option("--profile", "-p", help="A profile's name (see `a4 profiles`) or a TOML file.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="Replace a setting: --set spotter.segmenter=sam2:tiny"),
+]
+
+
+def settings(profile: str | None, sets: list[str] | None = None, **extra: Any) -> Settings:
+    """The merged settings of a command; `extra` are flags by dotted name with "__" for ".", None left out.
+
+    Raises:
+        ConfigError: a `--set` that is not NAME=VALUE, or whatever the settings do not allow.
+    """
+    from a4agent.config import load_settings, parse_value
+
+    overrides: dict[str, Any] = {}
+    for text in sets or []:
+        name, equals, value = text.partition("=")
+        if not equals or not name.strip():
+            raise ConfigError(f"--set takes NAME=VALUE (such as spotter.segmenter=sam2:tiny), not {text!r}")
+        overrides[name.strip()] = parse_value(value.strip())
+    overrides.update({name.replace("__", "."): value for name, value in extra.items() if value is not None})
+    return load_settings(profile, overrides)
+
+
+def fail(error: BaseException) -> int:
+    """Say what went wrong, without a traceback; returns the exit code."""
+    messages.print(f"[bold red]error:[/] {_escaped(str(error))}", soft_wrap=True)
+    return USAGE if isinstance(error, UserError) else SOME_FAILED
+
+
+def warn(message: str) -> None:
+    """One line of warning."""
+    messages.print(f"[bold yellow]warning:[/] {_escaped(message)}", soft_wrap=True)
+
+
+def _escaped(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)
+
+
+def check_writable(folder: Path) -> None:
+    """Make the folder and try it.
+
+    Raises:
+        InputError: nothing can be written there.
+    """
+    from a4agent.saving import make_folder
+
+    make_folder(folder)
+
+
+__all__ = [
+    "INTERRUPTED",
+    "OK",
+    "SOME_FAILED",
+    "USAGE",
+    "A4Error",
+    "ProfileOption",
+    "SetOption",
+    "check_writable",
+    "fail",
+    "messages",
+    "settings",
+    "warn",
+]

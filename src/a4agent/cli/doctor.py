@@ -1,0 +1,114 @@
+"""`a4 doctor`: what works on this machine, what is missing, and the command that gets it."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from a4agent import __version__
+from a4agent.availability import EXTRAS, check_profile, missing_modules
+from a4agent.config import profile_names
+
+SIZES = {
+    "offline": "about 300 MB",
+    "api": "about 10 MB",
+    "local": "about 1 GB on a CPU, 6 GB with CUDA, and the models",
+    "bench": "about 250 MB",
+    "serve": "about 15 MB",
+    "app": "about 250 MB",
+    "ray": "about 250 MB",
+    "interop": "about 400 MB",
+    "sim": "about 50 MB, and the asset packages",
+}
+
+
+def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False) -> None:
+    """Say what works on this machine, and how to get the rest."""
+    report = examine()
+    if as_json:
+        print(json.dumps(report, indent=1))
+    else:
+        _show(report)
+
+
+def examine() -> dict[str, Any]:
+    """Versions, memory, accelerators, extras, keys and profiles, JSON-safe."""
+    return {
+        "a4agent": __version__,
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "cores": os.cpu_count(),
+        "memory_gb": _memory_gb(),
+        "accelerators": _accelerators(),
+        "free_disk_gb": round(shutil.disk_usage(Path.home()).free / 1e9, 1),
+        "hub_offline": os.environ.get("HF_HUB_OFFLINE", "") not in ("", "0"),
+        "keys": {name: bool(os.environ.get(name, "").strip()) for name in ("OPENAI_API_KEY", "HF_TOKEN")},
+        "extras": {
+            extra: {"missing": missing_modules(extra), "size": SIZES[extra], "fix": f"pip install 'a4agent[{extra}]'"}
+            for extra in EXTRAS
+        },
+        "profiles": {
+            name: [{"what": missing.what, "fix": missing.fix} for missing in check_profile(name)]
+            for name in profile_names()
+        },
+    }
+
+
+def _memory_gb() -> float | None:
+    try:
+        return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 1)
+    except (AttributeError, ValueError, OSError):
+        return None
+
+
+def _accelerators() -> list[str]:
+    """The GPUs that torch sees; asks torch only if it is installed."""
+    if missing_modules("local") and "torch" in missing_modules("local"):
+        return []
+    try:
+        import torch
+    except ImportError:
+        return []
+    if torch.cuda.is_available():
+        return [
+            f"{torch.cuda.get_device_name(i)}, {torch.cuda.get_device_properties(i).total_memory / 1e9:.0f} GB"
+            for i in range(torch.cuda.device_count())
+        ]
+    return ["Apple GPU (mps)"] if torch.backends.mps.is_available() else []
+
+
+def _show(report: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+
+    console = Console(highlight=False, soft_wrap=True)
+    good, bad = "[green]✓[/]", "[yellow]–[/]"
+    console.print(f"a4agent {report['a4agent']}, Python {report['python']}, {escape(report['platform'])}")
+    accelerators = ", ".join(report["accelerators"]) or "no GPU (the profiles `offline` and `api` need none)"
+    memory = f"{report['memory_gb']} GB memory" if report["memory_gb"] else "memory unknown"
+    console.print(f"{report['cores']} cores, {memory}, {report['free_disk_gb']} GB disk free, {accelerators}")
+    console.print("\n[bold]Extras[/]")
+    for extra, state in report["extras"].items():
+        if not state["missing"]:
+            console.print(f"  {good} {extra}")
+        else:
+            console.print(f"  {bad} {extra:8} [cyan]{escape(state['fix'])}[/]  [dim]{state['size']}[/]")
+    console.print("\n[bold]Keys[/]")
+    for name, there in report["keys"].items():
+        console.print(
+            f"  {good if there else bad} {name}{'' if there else '  [dim]not set: export ' + name + '=...[/]'}"
+        )
+    console.print("\n[bold]Profiles[/]")
+    for name, missing in report["profiles"].items():
+        if not missing:
+            console.print(f"  {good} {name}")
+            continue
+        first = missing[0]
+        more = f" [dim]and {len(missing) - 1} more: a4 profiles {name}[/]" if len(missing) > 1 else ""
+        console.print(f"  {bad} {name:22} {escape(first['what'])}: [cyan]{escape(first['fix'])}[/]{more}")

@@ -1,0 +1,93 @@
+"""`a4`: the commands and where they live. Only the one that is called is imported, so that help is instant."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Annotated, Any
+
+import typer
+
+from a4agent import __version__
+from a4agent.cli import common
+from a4agent.errors import A4Error
+
+COMMANDS = {
+    "predict": ("predict", "Find the part to act on, in images, folders or globs."),
+    "bench": ("bench", "Run a profile on a benchmark and score it."),
+    "score": ("score", "Score masks that another system wrote."),
+    "report": ("report", "Write a run as one HTML file."),
+    "compare": ("compare", "Compare runs on the samples they share."),
+    "tables": ("tables", "Print the paper's tables with your runs beside."),
+    "data": ("data", "Check benchmark data, or make some."),
+    "models": ("models", "List, fetch and verify the models of a profile."),
+    "profiles": ("profiles", "List the profiles and what each needs."),
+    "cache": ("cache", "Show or clear the answers kept on disk."),
+    "doctor": ("doctor", "Say what works on this machine, and how to get the rest."),
+    "serve": ("serve", "Serve affordances over HTTP."),
+    "app": ("web", "Open the web page."),
+}
+"""Command -> the module of `a4agent.cli` it lives in, and its line in the help."""
+
+
+def build(name: str | None) -> typer.Typer:
+    """The application with the command `name` loaded, and a line of help for all others."""
+    app = typer.Typer(
+        name="a4",
+        help="Which part of the thing in this picture do I act on?",
+        no_args_is_help=True,
+        add_completion=False,
+        rich_markup_mode="rich",
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(_root)
+    for command, (module, line) in COMMANDS.items():
+        if command != name:
+            app.command(command, help=line)(_placeholder)
+            continue
+        loaded = importlib.import_module(f"a4agent.cli.{module}")
+        found: Any = getattr(loaded, "app", None)
+        if isinstance(found, typer.Typer):
+            app.add_typer(found, name=command, help=line)
+        else:
+            app.command(command)(getattr(loaded, command))
+    return app
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"a4agent {__version__}")
+        raise typer.Exit
+
+
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    return None
+
+
+def _placeholder() -> None:
+    return None
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run `a4`. Exit codes: 0 ok, 1 some samples failed, 2 usage, 130 interrupted."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    name = next((argument for argument in arguments if not argument.startswith("-")), None)
+    try:
+        build(name)(args=arguments)
+    except A4Error as error:
+        sys.exit(common.fail(error))
+    except KeyboardInterrupt:
+        common.messages.print("interrupted")
+        sys.exit(common.INTERRUPTED)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(common.SOME_FAILED)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""`a4 profiles`: which profiles there are, what plays which role, and what each needs."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+import typer
+
+from a4agent.availability import check_profile
+from a4agent.config import Settings, load_settings, profile_names
+
+
+def profiles(
+    name: Annotated[str | None, typer.Argument(help="Show one profile whole.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """List the profiles and what each needs."""
+    names = [name] if name else profile_names()
+    found = {known: load_settings(known, environ={}) for known in names}
+    if as_json:
+        print(json.dumps([_as_dict(known, settings) for known, settings in found.items()], indent=1))
+    elif name:
+        _show_one(name, found[name])
+    else:
+        _show_all(found)
+
+
+def _as_dict(name: str, settings: Settings) -> dict[str, object]:
+    return {
+        "name": name,
+        **settings.profile.model_dump(),
+        "experts": {role: spec.expert for role, spec in settings.expert_specs().items()},
+        "missing": [{"what": missing.what, "fix": missing.fix} for missing in check_profile(name)],
+    }
+
+
+def _show_all(found: dict[str, Settings]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("")
+    table.add_column("profile", no_wrap=True)
+    table.add_column("what", ratio=3)
+    table.add_column("memory", ratio=2)
+    for name, settings in found.items():
+        here = not check_profile(name)
+        mark = "[green]●[/]" if here else "[dim]○[/]"
+        table.add_row(mark, f"[bold]{name}[/]" if here else name, settings.profile.summary, settings.profile.memory)
+    console = Console(highlight=False)
+    console.print(table)
+    console.print("[dim]● runs here   ○ needs something first: `a4 profiles NAME` says what[/]")
+
+
+def _show_one(name: str, settings: Settings) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+
+    console = Console(highlight=False, soft_wrap=True)
+    info = settings.profile
+    console.print(f"[bold]{name}[/]  {escape(info.summary)}")
+    for role, spec in settings.expert_specs().items():
+        own = ", ".join(f"{key} = {value}" for key, value in spec.settings.items())
+        console.print(f"  {role:18} {escape(spec.expert)}{f'  [dim]({escape(own)})[/]' if own else ''}")
+    for title, lines in (
+        ("memory", [info.memory]),
+        ("downloads", info.downloads),
+        ("licences", info.licences),
+        ("extras", info.needs),
+        ("notes", [info.notes]),
+    ):
+        if any(lines):
+            console.print(f"  [bold]{title:9}[/] {escape('; '.join(lines))}")
+    missing = check_profile(name)
+    console.print("  [green]runs here[/]" if not missing else "  [yellow]missing here:[/]")
+    for one in missing:
+        console.print(f"    {escape(one.what)}\n      [cyan]{escape(one.fix)}[/]")
