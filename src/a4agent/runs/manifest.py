@@ -1,0 +1,159 @@
+"""What a run is: the configuration that decides its answers, and the circumstances it was made under.
+
+    {
+     "schema": 1,
+     "identity": {                                    # two runs with one identity give the same answers
+       "benchmark": "umd", "options": {"rule": "a4"}, "data": {"fingerprint": "9f3c...", "samples": 1922},
+       "selection": {"limit": 100, "shuffle": 7}, "protocol": "strict", "oracle": null,
+       "settings": {"dreamer": ..., "thinker": ..., "spotter": ..., "image": ...},
+       "experts": [{"id": "sam2:tiny", "revision": "", "settings": {...}}],
+       "prompts": {"thinker": "8d0b2f..."}
+     },
+     "about": {"profile": "paper", "data": "/data/umd", "licence": "...", "label": "A4-Agent"},
+     "sessions": [{"started": "2026-11-22T07:40:00+00:00", "command": "a4 bench ...", "versions": {...}, "git": {...}}]
+    }
+
+A folder holds one identity; every start on it adds a session.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import platform
+import shlex
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, cast
+
+from a4agent import prompts
+from a4agent.config import Settings
+from a4agent.errors import DataError
+
+SCHEMA = 1
+LIBRARIES = ("numpy", "pillow", "scipy", "torch", "transformers", "diffusers", "openai", "onnxruntime", "ray")
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """The content of manifest.json."""
+
+    identity: Mapping[str, Any]
+    about: Mapping[str, Any] = field(default_factory=dict)
+    sessions: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def hash(self) -> str:
+        """Eight hexadecimal digits that name the configuration."""
+        return hashlib.sha256(_canonical(self.identity).encode()).hexdigest()[:8]
+
+    @property
+    def system(self) -> str:
+        """Names what answers, whatever it is asked: runs of one system on several benchmarks share it."""
+        asked = ("settings", "experts", "prompts", "oracle")
+        return hashlib.sha256(_canonical({key: self.identity.get(key) for key in asked}).encode()).hexdigest()[:8]
+
+    @property
+    def label(self) -> str:
+        """What people call this configuration."""
+        name = str(self.about.get("label") or self.about.get("profile") or self.hash)
+        oracle = self.identity.get("oracle")
+        return f"{name}, {oracle} by the truth" if oracle else name
+
+    def with_session(self) -> Manifest:
+        """The same manifest with the circumstances of this process added."""
+        return replace(self, sessions=(*self.sessions, circumstances()))
+
+    def to_json(self) -> str:
+        """Readable JSON."""
+        return json.dumps({"schema": SCHEMA, **asdict(self)}, indent=1, ensure_ascii=False, default=str) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str, name: str) -> Manifest:
+        """The inverse of `to_json`.
+
+        Raises:
+            DataError: not a manifest, or one of another version.
+        """
+        try:
+            data = json.loads(text)
+            if data["schema"] != SCHEMA:
+                raise DataError(f"{name!r} has schema {data['schema']!r}; this version reads {SCHEMA}")
+            return cls(data["identity"], data["about"], tuple(data["sessions"]))
+        except (KeyError, TypeError, ValueError) as error:
+            raise DataError(f"{name!r} is not the manifest of a run: {error!r}") from error
+
+
+def settings_identity(settings: Settings) -> dict[str, Any]:
+    """The settings that decide an answer: not the profile's name and prose, not how fast it is run."""
+    return settings.model_dump(mode="json", include={"dreamer", "thinker", "spotter", "image"})
+
+
+def prompt_hashes(settings: Settings) -> dict[str, str]:
+    """The hash of each prompt template that the settings use."""
+    found: dict[str, str] = {}
+    if settings.dreamer:
+        found["dreamer"] = prompts.text_hash(prompts.load(settings.dreamer.prompts, "dreamer"))
+    if settings.thinker:
+        template = "thinker" if settings.dreamer else "thinker_one_image"
+        found[template] = prompts.text_hash(prompts.load(settings.thinker.prompts, template))
+    return found
+
+
+def differences(there: Any, here: Any, name: str = "") -> list[str]:
+    """What two JSON values differ in, as lines "settings.spotter.pairing: 'paper' there, 'optimal' here"."""
+    if isinstance(there, Mapping) and isinstance(here, Mapping):
+        a, b = cast("Mapping[str, Any]", there), cast("Mapping[str, Any]", here)
+        lines: list[str] = []
+        for key in [*a, *(key for key in b if key not in a)]:
+            lines += differences(a.get(key), b.get(key), f"{name}.{key}" if name else str(key))
+        return lines
+    if isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
+        pairs = enumerate(zip(there, here, strict=True))
+        return [line for i, (a, b) in pairs for line in differences(a, b, f"{name}[{i}]")]
+    return [] if there == here else [f"{name}: {_short(there)} there, {_short(here)} here"]
+
+
+def circumstances() -> dict[str, Any]:
+    """When, where, by what command and with which versions this process runs."""
+    versions = {"python": platform.python_version()}
+    for library in ("a4agent", *LIBRARIES):
+        try:
+            versions[library] = importlib.metadata.version(library)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return {
+        "started": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "machine": f"{platform.system()} {platform.machine()}",
+        "versions": versions,
+        "git": git_state(Path(__file__).parent),
+    }
+
+
+def git_state(folder: Path) -> dict[str, Any] | None:
+    """Commit and dirtiness of the checkout that holds this code, None outside of one."""
+
+    def git(*arguments: str) -> str:
+        command = ["git", "-C", str(folder), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+
+    try:
+        git("ls-files", "--error-unmatch", "__init__.py")  # a checkout around an installed package is another project
+        return {"commit": git("rev-parse", "HEAD"), "dirty": bool(git("status", "--porcelain", "--", ".."))}
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _canonical(value: Any) -> str:
+    return json.dumps(value, sort_keys=True, ensure_ascii=False, default=str)
+
+
+def _short(value: Any) -> str:
+    text = "nothing" if value is None else repr(value)
+    return text if len(text) <= 120 else f"{text[:117]}..."

@@ -1,0 +1,302 @@
+"""A run is a folder. Whatever instant its process dies at, the next one goes on where it stopped.
+
+    runs/umd-paper-1f0c3a9e/
+      manifest.json      the configuration; one a folder, for ever (see manifest.py)
+      samples.jsonl      one line a scored sample, on disk before the next one is asked for
+      images/4be1….jpg   the pictures of the samples, by the hash of their pixels, scaled down to be looked at
+      scores.json        the scores when the last session ended; computed from samples.jsonl, safe to delete
+      lock               held while a process writes
+
+A line of samples.jsonl (wrapped here) is what `Affordance.to_dict` gives, and what it scored:
+
+    {"schema": 1, "id": "mug_02", "instruction": "...", "size_wh": [640, 480], "status": "ok", "error": null,
+     "target": {...}, "imagination": null, "boxes_xyxy": [...], "points_xy": [...],
+     "mask": {"size": ..., "counts": ...}, "regions": [...], "trace": [...],
+     "intersection": 2041, "union": 2517, "iou": 0.8109, "truth_pixels": 2230, "predicted_pixels": 2328,
+     "truth": {"size": ..., "counts": ...}, "resized": false, "category": "grasp",
+     "pictures": {"original": "images/4be1….jpg"}}
+
+A sample that is asked for again gets a second line; the last line of an id counts. A last line that a
+kill tore is cut off when the folder is opened for writing, and left out when it is only read.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from a4agent.affordance import Affordance, Status
+from a4agent.errors import ConfigError, DataError
+from a4agent.images import image_hash
+from a4agent.runs.lock import hold
+from a4agent.runs.manifest import Manifest, differences
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+PICTURE_SIDE = 768
+SCORED = ("id", "status", "intersection", "union", "truth_pixels", "predicted_pixels", "category", "resized")
+"""The fields that a writer keeps in memory; masks and traces stay on the disk."""
+STATUSES: tuple[Status, ...] = ("ok", "empty", "invalid", "error")
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One line of samples.jsonl."""
+
+    row: Mapping[str, Any]
+
+    @property
+    def id(self) -> str:
+        return self.row["id"]
+
+    @property
+    def status(self) -> Status:
+        return self.row["status"]
+
+    @property
+    def intersection(self) -> int:
+        return self.row["intersection"]
+
+    @property
+    def union(self) -> int:
+        return self.row["union"]
+
+    @property
+    def iou(self) -> float:
+        """By the strict protocol: 1 if truth and prediction are both empty."""
+        return self.intersection / self.union if self.union else 1.0
+
+    @property
+    def category(self) -> str:
+        return self.row.get("category") or ""
+
+    @property
+    def truth(self) -> Mapping[str, Any]:
+        """The true mask as COCO RLE."""
+        return self.row["truth"]
+
+    @property
+    def resized(self) -> bool:
+        """Whether the predicted mask had to be brought to the truth's size."""
+        return bool(self.row.get("resized"))
+
+    @property
+    def pictures(self) -> Mapping[str, str]:
+        """ "original" and "imagination": paths below the run folder."""
+        return self.row.get("pictures") or {}
+
+    @property
+    def affordance(self) -> Affordance:
+        """The answer itself, without its pictures."""
+        return Affordance.from_dict(self.row)
+
+    @property
+    def seconds(self) -> float:
+        return sum(step.get("seconds") or 0.0 for step in self.row["trace"])
+
+    @property
+    def cost(self) -> float:
+        """Dollars spent; what the cache answered was paid before."""
+        return sum(step.get("cost") or 0.0 for step in self.row["trace"] if not step.get("cached"))
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run as it stands on disk: `records` by id, the last of each."""
+
+    folder: Path
+    manifest: Manifest
+    records: Mapping[str, Record]
+
+    @property
+    def name(self) -> str:
+        return self.folder.name
+
+    @property
+    def planned(self) -> int:
+        """How many samples the run is to have when it is complete."""
+        return int(self.manifest.identity["selection"]["samples"])
+
+    @property
+    def complete(self) -> bool:
+        return len(self.records) >= self.planned
+
+
+def read_run(folder: str | Path) -> Run:
+    """A run to look at; it may still be written by another process.
+
+    Raises:
+        DataError: not a run folder, or a line of it is damaged.
+    """
+    folder = Path(folder)
+    path = folder / "manifest.json"
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise DataError(
+            f"{str(folder)!r} is not a run folder: it has no manifest.json; `a4 bench` makes one"
+        ) from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{str(path)!r} cannot be read: {error}") from error
+    return Run(folder, Manifest.from_json(text, str(path)), read_records(folder / "samples.jsonl"))
+
+
+def read_records(path: Path, keep: Iterable[str] = ()) -> dict[str, Record]:
+    """The last record of every id, in the order of their first lines; a torn last line is left out.
+
+    `keep` names the fields wanted, all if it is empty.
+
+    Raises:
+        DataError: another line is not a record.
+    """
+    records: dict[str, Record] = {}
+    try:
+        with path.open("rb") as file:
+            for number, line in enumerate(file, 1):
+                try:
+                    row = json.loads(line)
+                    records[row["id"]] = Record({key: row[key] for key in keep if key in row} if keep else row)
+                except (ValueError, KeyError, TypeError) as error:
+                    if not line.endswith(b"\n"):  # a write that was cut off
+                        break
+                    raise DataError(
+                        f"line {number} of {str(path)!r} is not a record ({error}); remove that line"
+                    ) from error
+    except FileNotFoundError:
+        return {}
+    except OSError as error:
+        raise DataError(f"{str(path)!r} cannot be read: {error}") from error
+    return records
+
+
+class RunWriter:
+    """Writes one run folder; a context manager that holds its lock.
+
+        with RunWriter(folder, manifest) as run:
+            for sample in samples:
+                if run.wants(sample.id):
+                    run.add(...)
+
+    `retry` names the statuses that are asked for again, once a session.
+    """
+
+    def __init__(self, folder: str | Path, manifest: Manifest, retry: Iterable[Status] = ()) -> None:
+        self.folder = Path(folder)
+        self.manifest = manifest
+        self.records: dict[str, Record] = {}
+        self._retry = frozenset(retry)
+        self._pending_retry: set[str] = set()
+        self._file = -1
+        self._held = ExitStack()
+
+    def __enter__(self) -> RunWriter:
+        """Create the folder or take up the one that is there.
+
+        Raises:
+            ConfigError: the folder belongs to another configuration; the message says what differs.
+            DataError: it is another process's, or not a run folder.
+        """
+        path = self.folder / "manifest.json"
+        if not path.exists() and self.folder.is_dir() and _foreign(self.folder):
+            raise DataError(f"{str(self.folder)!r} holds other files and no run; choose another folder with --out")
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with ExitStack() as held:
+            held.enter_context(hold(self.folder / "lock"))
+            if path.exists():
+                self._adopt(Manifest.from_json(path.read_text(encoding="utf-8"), str(path)))
+            self.manifest = self.manifest.with_session()
+            write_atomically(path, self.manifest.to_json().encode())
+            samples = self.folder / "samples.jsonl"
+            _repair(samples)
+            self.records = read_records(samples, SCORED)
+            self._pending_retry = {record.id for record in self.records.values() if record.status in self._retry}
+            self._file = os.open(samples, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o644)
+            held.callback(os.close, self._file)
+            self._held = held.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._held.close()
+
+    def wants(self, id: str) -> bool:
+        """Whether this sample is still to be asked for."""
+        return id not in self.records or id in self._pending_retry
+
+    def add(self, row: Mapping[str, Any]) -> Record:
+        """Append a line and wait until it is on the disk."""
+        record = Record({key: row[key] for key in SCORED if key in row})
+        line = json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+        view = memoryview(line)
+        while view:
+            view = view[os.write(self._file, view) :]
+        os.fsync(self._file)
+        self.records[record.id] = record
+        self._pending_retry.discard(record.id)
+        return record
+
+    def add_picture(self, image: Image) -> str:
+        """Keep a picture to look at (a JPEG of at most 768 pixels a side); returns its path below the folder."""
+        from PIL import Image as Images
+
+        name = f"images/{image_hash(image)[:20]}.jpg"
+        path = self.folder / name
+        if not path.exists():
+            import io
+
+            small = image.convert("RGB")
+            small.thumbnail((PICTURE_SIDE, PICTURE_SIDE), Images.Resampling.LANCZOS, reducing_gap=2.0)
+            buffer = io.BytesIO()
+            small.save(buffer, "JPEG", quality=85)
+            path.parent.mkdir(exist_ok=True)
+            write_atomically(path, buffer.getvalue())
+        return name
+
+    def _adopt(self, there: Manifest) -> None:
+        here = json.loads(json.dumps(self.manifest.identity, default=str))
+        found = differences(there.identity, here)
+        if found:
+            shown = "; ".join(found[:6]) + (f"; and {len(found) - 6} more" if len(found) > 6 else "")
+            raise ConfigError(
+                f"{str(self.folder)!r} is the run of another configuration ({shown}). Choose another folder with --out"
+                " or leave --out away: the default name holds the configuration"
+            )
+        self.manifest = Manifest(there.identity, {**there.about, **self.manifest.about}, there.sessions)
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Replace `path` as a whole: a reader sees the old content or the new one."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with temporary.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+
+
+def _repair(path: Path) -> None:
+    """Cut off, or finish, a last line without its newline."""
+    if not path.exists():
+        return
+    with path.open("r+b") as file:
+        raw = file.read()
+        whole = raw.rfind(b"\n") + 1
+        if whole == len(raw):
+            return
+        try:
+            json.loads(raw[whole:])["id"]
+            file.write(b"\n")
+        except (ValueError, KeyError, TypeError):
+            file.truncate(whole)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _foreign(folder: Path) -> bool:
+    """Whether there is something in the folder that no run leaves behind when it dies at its very start."""
+    return any(not (path.name == "lock" or path.name.startswith(".manifest.json.")) for path in folder.iterdir())

@@ -1,0 +1,177 @@
+"""The run folder: one configuration, one writer, nothing lost and nothing doubled whatever instant a kill comes at."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from a4agent.errors import ConfigError, DataError
+from a4agent.runs.manifest import Manifest, differences
+from a4agent.runs.store import RunWriter, read_run, write_atomically
+
+
+def manifest(**identity: object) -> Manifest:
+    return Manifest({"benchmark": "folder", "selection": {"samples": 3}, **identity}, {"profile": "offline"})
+
+
+def row(id: str, status: str = "ok", intersection: int = 3) -> dict[str, object]:
+    return {"id": id, "status": status, "intersection": intersection, "union": 4, "trace": [], "note": "ä\u2028\n"}
+
+
+def test_a_run_is_written_and_read_back(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        assert run.wants("a")
+        run.add(row("a"))
+        run.add(row("b", intersection=0))
+        assert not run.wants("a")
+    found = read_run(tmp_path / "run")
+    rows = [(record.id, record.iou, record.row["note"]) for record in found.records.values()]
+    assert rows == [("a", 0.75, "ä\u2028\n"), ("b", 0.0, "ä\u2028\n")]
+        ("a", 0.75, "ä\u2028\n"),
+        ("b", 0.0, "ä\u2028\n"),
+    ]
+    assert found.planned == 3
+    assert not found.complete
+
+
+def test_a_row_is_on_disk_before_the_next_one(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        run.add(row("a"))
+        assert list(read_run(tmp_path / "run").records) == ["a"]
+
+
+def test_only_what_failed_is_asked_for_again_and_the_last_line_counts(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        run.add(row("good"))
+        run.add(row("bad", "error", 0))
+        run.add(row("vague", "invalid", 0))
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        assert not any(run.wants(id) for id in ("good", "bad", "vague"))
+    with RunWriter(tmp_path / "run", manifest(), retry=["error"]) as run:
+        assert [id for id in ("good", "bad", "vague") if run.wants(id)] == ["bad"]
+        run.add(row("bad", "ok"))
+        assert not run.wants("bad"), "once a session"
+    records = read_run(tmp_path / "run").records
+    assert list(records) == ["good", "bad", "vague"]
+    assert records["bad"].status == "ok"
+    assert len(read_run(tmp_path / "run").manifest.sessions) == 3
+
+
+def test_another_configuration_is_refused_and_told_apart(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", manifest(settings={"spotter": {"segmenter": {"expert": "sam2:large"}}})):
+        pass
+    other = manifest(settings={"spotter": {"segmenter": {"expert": "sam2:tiny"}}})
+    with (
+        pytest.raises(ConfigError, match=r"settings\.spotter\.segmenter\.expert: 'sam2:large' there, 'sam2:tiny' here"),
+        RunWriter(tmp_path / "run", other),
+    ):
+        pass
+    assert len(read_run(tmp_path / "run").manifest.sessions) == 1, "the refused start left no mark"
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(DataError, match="holds other files"), RunWriter(tmp_path, manifest()):
+        pass
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_what_is_not_a_run_says_so(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="a4 bench"):
+        read_run(tmp_path / "nowhere")
+    (tmp_path / "manifest.json").write_text('{"schema": 99}')
+    with pytest.raises(DataError, match="schema 99"):
+        read_run(tmp_path)
+
+
+def test_a_damaged_line_in_the_middle_is_named(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        run.add(row("a"))
+    path = tmp_path / "run" / "samples.jsonl"
+    path.write_bytes(b'{"id": "x", "stat\n' + path.read_bytes())
+    with pytest.raises(DataError, match="line 1"):
+        read_run(tmp_path / "run")
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(cut=st.integers(0, 400), junk=st.binary(max_size=5))
+def test_a_file_cut_anywhere_is_taken_up_again(tmp_path: Path, cut: int, junk: bytes) -> None:
+    folder = tmp_path / f"{cut}-{junk.hex()}"
+    ids = ["a", "b", "c"]
+    with RunWriter(folder, manifest()) as run:
+        for id in ids:
+            run.add(row(id))
+    path = folder / "samples.jsonl"
+    whole = path.read_bytes()
+    path.write_bytes(whole[:cut] + junk.replace(b"\n", b""))
+    assert all(record.row == row(id) for id, record in read_run(folder).records.items())
+    with RunWriter(folder, manifest()) as run:
+        for id in [id for id in ids if run.wants(id)]:
+            run.add(row(id))
+    lines = [json.loads(line) for line in path.read_bytes().splitlines()]
+    assert lines == [json.loads(line) for line in whole.splitlines()]
+
+
+def test_two_writers_do_not_share_a_folder(tmp_path: Path) -> None:
+    code = (
+        "import sys; from a4agent.runs.store import RunWriter; from a4agent.runs.manifest import Manifest\n"
+        "with RunWriter(sys.argv[1], Manifest({'benchmark': 'folder', 'selection': {'samples': 3}})):\n"
+        "    print('held', flush=True); sys.stdin.read()"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "run")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline().strip() == b"held"
+        with pytest.raises(DataError, match=f"process {other.pid} on "), RunWriter(tmp_path / "run", manifest()):
+            pass
+        other.kill()
+    with RunWriter(tmp_path / "run", manifest()) as run, pytest.raises(DataError, match=f"process {os.getpid()}"):
+        RunWriter(tmp_path / "run", run.manifest).__enter__()
+
+
+def test_pictures_are_kept_once_and_small(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        big = Image.effect_noise((2000, 1000), 60).convert("RGB")
+        name = run.add_picture(big)
+        assert run.add_picture(big.copy()) == name
+        assert run.add_picture(Image.new("RGB", (20, 10))) != name
+        with Image.open(run.folder / name) as kept:
+            assert kept.size == (768, 384)
+        assert len(list((run.folder / "images").iterdir())) == 2
+
+
+def test_writing_atomically_keeps_the_old_content_on_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "scores.json"
+    write_atomically(path, b"old")
+
+    def full(_: int) -> None:
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="no space"):
+        write_atomically(path, b"new")
+    assert path.read_bytes() == b"old"
+
+
+def test_differences_are_named_by_their_place() -> None:
+    assert differences({"a": {"b": 1}, "c": [1, 2]}, {"a": {"b": 2}, "c": [1, 2]}) == ["a.b: 1 there, 2 here"]
+    assert differences({"a": [{"id": "x"}]}, {"a": [{"id": "y"}]}) == ["a[0].id: 'x' there, 'y' here"]
+    assert differences({"a": 1}, {"a": 1, "b": 2}) == ["b: nothing there, 2 here"]
+    assert differences({"a": [1]}, {"a": [1, 2]}) == ["a: [1] there, [1, 2] here"]
+
+
+def test_the_hash_names_the_configuration_and_not_its_circumstances() -> None:
+    one = manifest(settings={"x": 1, "y": 2})
+    assert one.hash == manifest(settings={"y": 2, "x": 1}).with_session().hash
+    assert one.hash != manifest(settings={"x": 1, "y": 3}).hash
+    again = Manifest.from_json(one.with_session().to_json(), "manifest.json")
+    assert again.hash == one.hash
+    assert "numpy" in again.sessions[0]["versions"]
