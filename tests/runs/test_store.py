@@ -35,9 +35,6 @@ def test_a_run_is_written_and_read_back(tmp_path: Path) -> None:
     found = read_run(tmp_path / "run")
     rows = [(record.id, record.iou, record.row["note"]) for record in found.records.values()]
     assert rows == [("a", 0.75, "ä\u2028\n"), ("b", 0.0, "ä\u2028\n")]
-        ("a", 0.75, "ä\u2028\n"),
-        ("b", 0.0, "ä\u2028\n"),
-    ]
     assert found.planned == 3
     assert not found.complete
 

@@ -12,7 +12,7 @@ A line of samples.jsonl (wrapped here) is what `Affordance.to_dict` gives, and w
     {"schema": 1, "id": "mug_02", "instruction": "...", "size_wh": [640, 480], "status": "ok", "error": null,
      "target": {...}, "imagination": null, "boxes_xyxy": [...], "points_xy": [...],
      "mask": {"size": ..., "counts": ...}, "regions": [...], "trace": [...],
-     "intersection": 2041, "union": 2517, "iou": 0.8109, "truth_pixels": 2230, "predicted_pixels": 2328,
+     "intersection": 2041, "union": 2517, "iou": 0.8109, "truth_pixels": 2230, "prediction_pixels": 2328,
      "truth": {"size": ..., "counts": ...}, "resized": false, "category": "grasp",
      "pictures": {"original": "images/4be1….jpg"}}
 
@@ -33,6 +33,7 @@ from typing import TYPE_CHECKING, Any
 from a4agent.affordance import Affordance, Status
 from a4agent.errors import ConfigError, DataError
 from a4agent.images import image_hash
+from a4agent.metrics import Row
 from a4agent.runs.lock import hold
 from a4agent.runs.manifest import Manifest, differences
 
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 PICTURE_SIDE = 768
-SCORED = ("id", "status", "intersection", "union", "truth_pixels", "predicted_pixels", "category", "resized")
+SCORED = ("id", "status", "intersection", "union", "truth_pixels", "prediction_pixels", "category", "resized")
 """The fields that a writer keeps in memory; masks and traces stay on the disk."""
 STATUSES: tuple[Status, ...] = ("ok", "empty", "invalid", "error")
 
@@ -60,17 +61,23 @@ class Record:
         return self.row["status"]
 
     @property
-    def intersection(self) -> int:
-        return self.row["intersection"]
-
-    @property
-    def union(self) -> int:
-        return self.row["union"]
+    def scored(self) -> Row:
+        """What the metrics need of this sample."""
+        row = self.row
+        return Row(
+            row["intersection"],
+            row["union"],
+            row["status"],
+            row.get("truth_pixels"),
+            row.get("prediction_pixels"),
+            bool(row.get("resized")),
+        )
 
     @property
     def iou(self) -> float:
         """By the strict protocol: 1 if truth and prediction are both empty."""
-        return self.intersection / self.union if self.union else 1.0
+        row = self.row
+        return row["intersection"] / row["union"] if row["union"] else 1.0
 
     @property
     def category(self) -> str:
@@ -80,11 +87,6 @@ class Record:
     def truth(self) -> Mapping[str, Any]:
         """The true mask as COCO RLE."""
         return self.row["truth"]
-
-    @property
-    def resized(self) -> bool:
-        """Whether the predicted mask had to be brought to the truth's size."""
-        return bool(self.row.get("resized"))
 
     @property
     def pictures(self) -> Mapping[str, str]:
