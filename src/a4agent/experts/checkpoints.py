@@ -1,0 +1,172 @@
+"""Where a checkpoint lies on this disk: a model's name, or a folder, to files that are there and complete.
+
+    find_checkpoint("facebook/sam2.1-hiera-tiny", kinds=("sam2", "sam2_video"))
+        -> Checkpoint(folder=Path(".../snapshots/1a2b3c..."), revision="1a2b3c...", kind="sam2_video")
+
+A folder is taken as it is. A name is looked up in the local cache of the hub first, without any network;
+only what is not there is downloaded. Nothing here needs torch.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from a4agent.errors import CredentialError, ModelFilesError, require
+
+PATTERNS = ["*.json", "*.safetensors", "*.txt", "*.jinja", "*.model"]
+"""The files of a repository that loading needs; no pickled weights, no code."""
+
+_NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
+_PROBE_SECONDS = 10.0
+_BLOCK, _BLOCKS = 4096, 16
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A complete checkpoint: its folder, the commit (or a digest of the files), its architecture's name."""
+
+    folder: Path
+    revision: str
+    kind: str
+
+
+def find_checkpoint(model: str, *, kinds: Sequence[str] = (), revision: str | None = None) -> Checkpoint:
+    """The checkpoint that `model` (a folder, or OWNER/NAME on the hub) stands for, downloaded if need be.
+
+    Args:
+        model: a folder or a name.
+        kinds: the architectures (`model_type` in config.json, `_class_name` in model_index.json) that will do;
+            any if empty.
+        revision: branch, tag or commit of a name; a folder has none.
+
+    Raises:
+        ModelFilesError: there is no such folder or name, the hub cannot be reached, files are missing, or
+            the checkpoint is of another architecture.
+        CredentialError: the model is gated and this account has no access.
+    """
+    path = Path(model).expanduser()
+    if path.is_dir():
+        folder, commit = path, ""
+    elif path.exists():
+        raise ModelFilesError(f"{model!r} is a file; give the folder that holds config.json and the weights")
+    elif _NAME.fullmatch(model):
+        folder = _from_cache(model, revision) or _from_hub(model, revision)
+        commit = folder.name
+    else:
+        raise ModelFilesError(f"there is no folder {model!r}, and the name of a model is written 'OWNER/NAME'")
+    kind = _kind(model, folder)
+    if kinds and kind not in kinds:
+        raise ModelFilesError(f"{model!r} is a checkpoint of {kind!r}; {' or '.join(map(repr, kinds))} is needed here")
+    _check_complete(model, folder)
+    return Checkpoint(folder, commit or _digest(folder), kind)
+
+
+def weight_files(folder: Path) -> list[Path]:
+    """The files with weights in a checkpoint's folder and its sub-folders, in a fixed order."""
+    return sorted(folder.rglob("*.safetensors")) or sorted(folder.rglob("pytorch_model*.bin"))
+
+
+def parameter_count(folder: Path) -> int:
+    """How many numbers a checkpoint's weights are, read from the files' headers."""
+    return sum(_numbers_in(file) for file in weight_files(folder))
+
+
+def _numbers_in(file: Path) -> int:
+    if file.suffix != ".safetensors":
+        return file.stat().st_size // 2  # pickled: half precision is assumed
+    with file.open("rb") as stream:
+        try:
+            header = json.loads(stream.read(int.from_bytes(stream.read(8), "little")))
+        except (ValueError, MemoryError) as error:
+            raise ModelFilesError(f"{str(file)!r} is damaged or not complete ({error}); fetch it again") from error
+    return sum(math.prod(tensor["shape"]) for name, tensor in header.items() if name != "__metadata__")
+
+
+def _from_cache(model: str, revision: str | None) -> Path | None:
+    hub: Any = require("huggingface_hub", extra="local")
+    errors: Any = require("huggingface_hub.errors", extra="local")
+    try:
+        return Path(hub.snapshot_download(model, revision=revision, allow_patterns=PATTERNS, local_files_only=True))
+    except errors.LocalEntryNotFoundError:
+        return None
+
+
+def _from_hub(model: str, revision: str | None) -> Path:
+    hub: Any = require("huggingface_hub", extra="local")
+    errors: Any = require("huggingface_hub.errors", extra="local")
+    pull = f"`a4 models pull {model}` where there is a network (or give a folder instead of the name)"
+    if hub.constants.HF_HUB_OFFLINE:
+        raise ModelFilesError(
+            f"{model!r} is not on this machine, and HF_HUB_OFFLINE forbids to fetch it: unset it, or run {pull}"
+        )
+    try:
+        # A small question first: an unreachable hub is known in seconds, before any work starts.
+        hub.HfApi().model_info(model, revision=revision, timeout=_PROBE_SECONDS)
+        return Path(hub.snapshot_download(model, revision=revision, allow_patterns=PATTERNS))
+    except errors.GatedRepoError as error:
+        raise CredentialError(
+            f"{model!r} is gated: accept its licence on the model's page, then `hf auth login` (or set HF_TOKEN)"
+        ) from error
+    except errors.RepositoryNotFoundError as error:
+        raise ModelFilesError(
+            f"there is neither a folder nor a model on the hub called {model!r} (a private one needs `hf auth login`)"
+        ) from error
+    except errors.RevisionNotFoundError as error:
+        raise ModelFilesError(f"{model!r} has no revision {revision!r}") from error
+    except Exception as error:  # the hub's client changes its HTTP library, and with it the classes, between versions
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ModelFilesError(
+            f"{model!r} is not on this machine, and the hub could not be reached ({reason}): run {pull}; "
+            "HF_HUB_OFFLINE=1 stops all attempts"
+        ) from error
+
+
+def _kind(model: str, folder: Path) -> str:
+    for name, key in (("model_index.json", "_class_name"), ("config.json", "model_type")):
+        if not (folder / name).is_file():
+            continue
+        try:
+            data = json.loads((folder / name).read_text("utf-8"))
+        except ValueError as error:
+            raise ModelFilesError(f"{name} in {str(folder)!r} is damaged ({error})") from error
+        value = cast("dict[str, object]", data).get(key) if isinstance(data, dict) else None
+        if isinstance(value, str):
+            return value
+        raise ModelFilesError(f"{name} in {str(folder)!r} does not say its {key!r}")
+    raise ModelFilesError(f"{model!r} is not a checkpoint: there is no config.json or model_index.json in it")
+
+
+def _check_complete(model: str, folder: Path) -> None:
+    if not weight_files(folder):
+        raise ModelFilesError(f"{model!r} has no weights: there are no .safetensors files in {str(folder)!r}")
+    for index in folder.rglob("*.safetensors.index.json"):
+        shards = set(json.loads(index.read_text("utf-8"))["weight_map"].values())
+        missing = sorted(shard for shard in shards if not (index.parent / shard).is_file())
+        if missing:
+            raise ModelFilesError(
+                f"{model!r} is not complete: {len(missing)} of {len(shards)} files with weights are missing "
+                f"({missing[0]!r} first); `a4 models pull {model}` fetches the rest"
+            )
+
+
+def _digest(folder: Path) -> str:
+    """A digest of a user's folder: all its settings, and samples of its weights (milliseconds for any size)."""
+    digest = hashlib.sha256()
+    for file in sorted(path for path in folder.rglob("*") if path.suffix in (".json", ".safetensors", ".txt", ".bin")):
+        size = file.stat().st_size
+        digest.update(f"{file.relative_to(folder).as_posix()} {size}\n".encode())
+        with file.open("rb") as stream:
+            if size <= _BLOCK * _BLOCKS * 4:
+                digest.update(stream.read())
+                continue
+            for k in range(_BLOCKS):
+                stream.seek((size - _BLOCK) * k // (_BLOCKS - 1))
+                digest.update(stream.read(_BLOCK))
+    return digest.hexdigest()[:16]
