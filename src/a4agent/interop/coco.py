@@ -1,0 +1,50 @@
+"""COCO annotations: one a region, with RLE masks, xywh boxes and key points.
+
+{"id": 1, "image_id": 1, "category_id": 1, "bbox": [402.0, 180.0, 69.0, 142.0], "area": 6120,
+ "segmentation": {"size": [480, 640], "counts": "..."}, "iscrowd": 0, "score": 0.93,
+ "keypoints": [440.0, 251.0, 2], "num_keypoints": 1}
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from a4agent import rle
+from a4agent.affordance import Affordance, Region
+
+VISIBLE = 2
+
+
+def to_coco(
+    affordance: Affordance, *, image_id: int = 1, category_id: int = 1, first_id: int = 1
+) -> list[dict[str, Any]]:
+    """The regions as COCO annotations, best first, JSON-safe; no region gives an empty list.
+
+    A region that has no box of its own gets the tight box around its mask. `score` is left out where there is none.
+    """
+    annotations: list[dict[str, Any]] = []
+    for number, region in enumerate(affordance.regions):
+        x0, y0, x1, y1 = _box(region)
+        points = np.round(region.points_xy.reshape(-1, 2).astype(np.float64), 2)
+        annotation: dict[str, Any] = {
+            "id": first_id + number,
+            "image_id": image_id,
+            "category_id": category_id,
+            "bbox": [round(value, 2) for value in (x0, y0, x1 - x0, y1 - y0)],
+            "area": int(region.mask.sum()),
+            "segmentation": rle.encode(region.mask),
+            "iscrowd": 0,
+            "keypoints": [value for x, y in points.tolist() for value in (x, y, VISIBLE)],
+            "num_keypoints": len(points),
+        }
+        if region.score is not None:
+            annotation["score"] = float(region.score)
+        annotations.append(annotation)
+    return annotations
+
+
+def _box(region: Region) -> list[float]:
+    box = region.box_xyxy if region.box_xyxy is not None else region.tight_box_xyxy
+    return [0.0, 0.0, 0.0, 0.0] if box is None else [float(edge) for edge in box]

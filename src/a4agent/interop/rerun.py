@@ -1,0 +1,79 @@
+"""Log an affordance, and what was lifted from it, to the Rerun viewer.
+
+rr.init("a4agent", spawn=True)
+log(affordance)                                   # picture, mask, boxes, points, thinking
+log_lifted(lift(affordance, depth, intrinsics))   # clouds, key points, contact frames
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from a4agent.affordance import Affordance
+from a4agent.errors import require
+from a4agent.interop.lift import Lifted
+
+COLOUR = (255, 64, 129)
+
+
+def log(affordance: Affordance, path: str = "affordance", recording: Any = None) -> None:
+    """Log everything 2D below the entity `path`: image, mask, boxes, points, imagination, thinking.
+
+    What an earlier call logged there and this affordance does not have is cleared.
+
+    Raises:
+        MissingExtraError: rerun is not installed.
+    """
+    rr = require("rerun", extra="interop")
+
+    def put(name: str, value: Any) -> None:
+        rr.log(f"{path}/{name}", value, recording=recording)
+
+    put("", rr.Clear(recursive=True))
+    target, imagination = affordance.target, affordance.imagination
+    name = target.object_part if target else affordance.instruction
+    if affordance.image is not None:
+        put("image", rr.Image(np.asarray(affordance.image)))
+    put("image/mask", rr.SegmentationImage(affordance.mask.astype(np.uint8), opacity=0.5))
+    boxes = affordance.boxes_xyxy
+    if len(boxes):
+        put("image/boxes", rr.Boxes2D(array=boxes, array_format=rr.Box2DFormat.XYXY, labels=[name] * len(boxes)))
+    if len(affordance.points_xy):
+        put("image/points", rr.Points2D(affordance.points_xy, radii=4.0, colors=COLOUR))
+    if imagination and imagination.image is not None:
+        put("imagination", rr.Image(np.asarray(imagination.image.convert("RGB"))))
+    put("thinking", rr.TextDocument(_story(affordance)))
+
+
+def log_lifted(lifted: Lifted, path: str = "affordance/lifted", recording: Any = None) -> None:
+    """Log clouds, measured key points and contact frames below the entity `path`.
+
+    Raises:
+        MissingExtraError: rerun is not installed.
+    """
+    rr = require("rerun", extra="interop")
+    rr.log(path, rr.Clear(recursive=True), recording=recording)
+    for number, region in enumerate(lifted.regions):
+        entity = f"{path}/{number}"
+        rr.log(f"{entity}/cloud", rr.Points3D(region.cloud_xyz), recording=recording)
+        points = region.points_xyz[np.isfinite(region.points_xyz).all(1)]
+        rr.log(f"{entity}/points", rr.Points3D(points, radii=0.004, colors=COLOUR), recording=recording)
+        if region.frame.measured:
+            arrows = rr.Arrows3D(
+                origins=[region.frame.origin] * 3,
+                vectors=region.frame.rotation.T * 0.05,
+                colors=[(255, 0, 0), (0, 255, 0), (0, 0, 255)],
+            )
+            rr.log(f"{entity}/frame", arrows, recording=recording)
+
+
+def _story(affordance: Affordance) -> str:
+    target = affordance.target
+    lines = [f"instruction: {affordance.instruction}", f"status: {affordance.status}"]
+    if target:
+        lines += [f"part: {target.object_part}", "", target.thinking]
+    if affordance.error:
+        lines += ["", affordance.error]
+    return "\n".join(lines)

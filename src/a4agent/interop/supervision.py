@@ -1,0 +1,42 @@
+"""`supervision.Detections`, for its annotators, filters and metrics.
+
+    detections = affordance.to_supervision()
+    picture = sv.MaskAnnotator(color_lookup=sv.ColorLookup.INDEX).annotate(picture, detections)
+
+All regions show one part, so colour by index (`ColorLookup.INDEX`); by class they would all look the same.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from a4agent.affordance import Affordance
+from a4agent.errors import require
+
+
+def to_supervision(affordance: Affordance) -> Any:
+    """The regions as `supervision.Detections`: xyxy (n, 4), mask (n, H, W), class 0, and its name under `data`.
+
+    A region without a box has the tight box around its mask. `confidence` is None unless every region has a score,
+    because supervision knows no missing ones. Key points are in `data["points_xy"]`, an object array of (k, 2).
+
+    Raises:
+        MissingExtraError: supervision is not installed.
+    """
+    sv = require("supervision", extra="interop")
+    regions = affordance.regions
+    width, height = affordance.size_wh
+    name = affordance.target.object_part if affordance.target else affordance.instruction
+    boxes = [region.box_xyxy if region.box_xyxy is not None else region.tight_box_xyxy for region in regions]
+    points = np.empty(len(regions), dtype=object)
+    points[:] = [region.points_xy for region in regions]
+    scores = [region.score for region in regions if region.score is not None]
+    return sv.Detections(
+        xyxy=np.array([np.zeros(4) if box is None else box for box in boxes], np.float32).reshape(-1, 4),
+        mask=np.array([region.mask for region in regions], bool).reshape(-1, height, width),
+        confidence=np.array(scores, np.float32) if len(scores) == len(regions) else None,
+        class_id=np.zeros(len(regions), int),
+        data={"class_name": np.full(len(regions), name), "points_xy": points},
+    )

@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from a4agent.affordance import Affordance, Imagination, Region, Target
+from a4agent.interop import rerun as adapter
+from a4agent.interop.lift import Intrinsics, lift
+
+rr = pytest.importorskip("rerun", reason="needs the extra interop")
+
+
+def affordance() -> Affordance:
+    mask = np.zeros((20, 30), bool)
+    mask[2:12, 4:19] = True
+    found = Region(np.array([4, 2, 19, 12], np.float32), np.array([[11, 7]], np.float32), mask, 0.9)
+    photo = Image.new("RGB", (30, 20), "grey")
+    return Affordance(
+        "open the drawer",
+        (30, 20),
+        imagination=Imagination("a hand pulls the handle", photo),
+        target=Target("open the drawer", "drawer", "the handle of the drawer", "It is made to be pulled."),
+        regions=(found,),
+        image=photo,
+    )
+
+
+def test_everything_is_in_the_recording(tmp_path: Path) -> None:
+    recording = rr.RecordingStream("test")
+    recording.save(tmp_path / "out.rrd")
+    adapter.log(affordance(), recording=recording)
+    depth = np.full((20, 30), 0.5)
+    adapter.log_lifted(lift(affordance(), depth, Intrinsics(50, 50, 15, 10)), recording=recording)
+    recording.flush()
+    recording.disconnect()
+    written = (tmp_path / "out.rrd").read_bytes()
+    for entity in ("image/mask", "image/boxes", "image/points", "imagination", "thinking", "lifted/0/cloud", "0/frame"):
+        assert f"/affordance/{entity}".encode() in written or entity.encode() in written, entity
+    assert b"It is made to be pulled." in written
+
+
+def test_nothing_found_can_be_logged(tmp_path: Path) -> None:
+    recording = rr.RecordingStream("test")
+    recording.save(tmp_path / "out.rrd")
+    adapter.log(Affordance("open", (30, 20), status="empty"), recording=recording)
+    recording.flush()
+    recording.disconnect()
+    assert b"status: empty" in (tmp_path / "out.rrd").read_bytes()
