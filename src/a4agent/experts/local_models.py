@@ -259,7 +259,9 @@ class LocalExpert(ExpertBase):
                 release_memory()
 
     def _in_batches(
-        self, requests: Sequence[RequestT], run: Callable[[Sequence[RequestT]], list[AnswerT]]
+        self,
+        requests: Sequence[RequestT],
+        run: Callable[[Sequence[RequestT]], list[AnswerT] | list[AnswerT | A4Error]],
     ) -> list[AnswerT | A4Error]:
         """`run` over batches of at most `max_batch`; one that runs out of memory is halved, as are all later ones."""
         torch: Any = require("torch", extra="local")

@@ -1,4 +1,4 @@
-"""`sam2:tiny|small|base-plus|large` (SAM 2.1), or another SAM 2 checkpoint by name or folder: boxes and points to masks.
+"""`sam2:tiny|small|base-plus|large` (SAM 2.1), or any SAM 2 checkpoint by name or folder: boxes and points to masks.
 
     create("large", "segmenter").segment([SegmentRequest(image=photo, prompts=(Prompt(box_xyxy=..., points_xy=...),))])
 
