@@ -1,0 +1,109 @@
+"""What a benchmark is to the rest of the house: samples with a public half and a hidden one.
+
+    benchmark = load("folder", "photos")            # benchmarks.registry
+    for sample in benchmark:                        # streams; nothing is decoded before it is asked for
+        affordance = agent.predict(sample.query.image, sample.query.instruction)
+        row = metrics.measure(affordance.mask, sample.truth.mask(), affordance.status)
+
+An agent is only ever handed `sample.query`: an id, a picture, an instruction. Masks, part names,
+reference answers and categories live in `sample.truth`, which nothing below the scorer sees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from a4agent.affordance import Query
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The hidden half of a sample.
+
+    `load_mask` reads the mask when it is wanted. The words are "" where the dataset has none:
+    `object_part` is the phrase a perfect Thinker would answer ("the handle of the mug"), `category` is
+    what scores are broken down by, `affordance` the verb asked for, `answer` the dataset's reference text.
+    """
+
+    load_mask: Callable[[], np.ndarray] = field(repr=False)
+    object_name: str = ""
+    object_part: str = ""
+    affordance: str = ""
+    category: str = ""
+    answer: str = ""
+
+    def mask(self) -> np.ndarray:
+        """The true mask, (H, W) bool, read anew at every call.
+
+        Raises:
+            DataError: the file is missing, outside the dataset's folder or cannot be read.
+        """
+        return self.load_mask()
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One question and its hidden answer."""
+
+    query: Query
+    truth: Truth
+
+    @property
+    def id(self) -> str:
+        return self.query.id
+
+
+@dataclass(frozen=True, eq=False)
+class Benchmark:
+    """An opened dataset: `len(benchmark)` samples, `benchmark[i]` or iteration makes them one at a time.
+
+    What a reader's `create(path, *, option=...)` returns, and all that it has to fill in:
+
+    name, licence, source: what it is called, under which terms, and where to get what is missing.
+    root: the folder that holds the data; nothing outside is read.
+    size, sample: how many samples there are, and the i-th of them (lazily: no picture is decoded).
+    digest: a sha256 over the index and the files' names and sizes: two datasets that differ differ here.
+    options: the reader's options that decide what is asked or true, such as UMD's `rule`.
+    revision: the dataset's own word for its version, "" if it has none.
+    protocol: how it is scored by default; published_protocol: how its authors' code scores it.
+    expected: the published number of samples, None if there is no such number.
+    """
+
+    name: str
+    licence: str
+    source: str
+    root: Path
+    size: int
+    sample: Callable[[int], Sample] = field(repr=False)
+    digest: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    revision: str = ""
+    protocol: str = "strict"
+    published_protocol: str = "strict"
+    expected: int | None = None
+
+    def __len__(self) -> int:
+        return self.size
+
+    def __getitem__(self, index: int) -> Sample:
+        if not 0 <= index < self.size:
+            raise IndexError(index)
+        return self.sample(index)
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (self.sample(index) for index in range(self.size))
+
+    def fingerprint(self) -> dict[str, Any]:
+        """What a run's manifest keeps, ready for `json.dumps`: equal for equal questions and truths only."""
+        return {
+            "benchmark": self.name,
+            "options": dict(self.options),
+            "revision": self.revision,
+            "rows": self.size,
+            "sha256": self.digest,
+        }
