@@ -96,6 +96,8 @@ class EngineSettings(Table):
     in_flight: int | None = Field(default=None, gt=0)
     batch_wait_ms: float = Field(default=4.0, ge=0)
     retries: int = Field(default=4, ge=0)
+    retry_wait: float = Field(default=0.5, ge=0)
+    outage_seconds: float = Field(default=300.0, gt=0)
     max_cost: float | None = Field(default=None, ge=0)
     max_seconds: float | None = Field(default=None, gt=0)
     max_sample_seconds: float | None = Field(default=None, gt=0)

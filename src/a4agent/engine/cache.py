@@ -1,0 +1,222 @@
+"""Answers kept on disk, by the content of the question: nothing is asked twice.
+
+    CACHE/v1/3f/3f9c...e1.entry        one answer, one file
+    {"sha256": "...", "answer": {"kind": "ChatAnswer", "text": "### Thinking ...", ...}}\\n
+    <the bytes of a PNG, if the answer is a picture>
+
+A file is written beside its place and renamed, so readers see all of it or nothing, however many processes
+write and whenever they are killed; what is damaged all the same is a miss. A hit renews the file's time, and
+when the folder outgrows its limit the files not used for longest go.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import shutil
+import sys
+import threading
+import time
+import uuid
+import weakref
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from a4agent.engine import entries
+from a4agent.errors import ConfigError
+from a4agent.experts.base import Answer, ChatAnswer, Expert, Request
+from a4agent.images import image_hash
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+log = logging.getLogger("a4agent")
+
+FORMAT = "v1"
+KEEP = 0.9
+"""The share of the limit that an eviction leaves."""
+ABANDONED = 3600.0
+"""Seconds after which a half-written file belongs to a process that is gone."""
+
+
+def default_folder() -> Path:
+    """A4_CACHE_DIR, or the place for caches of this system."""
+    if chosen := os.environ.get("A4_CACHE_DIR"):
+        return Path(chosen).expanduser()
+    home = Path.home()
+    if sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        base = home / "Library" / "Caches"
+    else:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
+    return base / "a4agent" / "answers"
+
+
+class Keys:
+    """Names questions: a sha256 over the expert's fingerprint, all fields of the request and the images' pixels."""
+
+    def __init__(self) -> None:
+        self._hashes: dict[int, tuple[weakref.ref[Image], str]] = {}
+
+    def of(self, expert: Expert, request: Request) -> str:
+        """The key of what `expert` answers to `request`. Callbacks are no part of it."""
+        asked = {"format": FORMAT, "expert": expert.fingerprint(), "verb": request.verb, "request": request}
+        text = json.dumps(self._plain(asked), sort_keys=True, ensure_ascii=False, separators=(",", ":"))
+        return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
+
+    def _plain(self, value: Any) -> Any:
+        from PIL.Image import Image
+
+        if value is None or isinstance(value, (str, int, float)):
+            return value
+        if isinstance(value, Image):
+            return {"image": self._hash(value)}
+        if isinstance(value, np.generic):
+            return value.item()
+        if isinstance(value, np.ndarray):
+            digest = hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()
+            return {"array": digest, "dtype": str(value.dtype), "shape": list(value.shape)}
+        if is_dataclass(value):
+            held = {field.name: getattr(value, field.name) for field in fields(value)}
+            return {name: self._plain(field) for name, field in held.items() if not callable(field)}
+        if isinstance(value, Mapping):
+            return {str(name): self._plain(item) for name, item in cast("Mapping[Any, Any]", value).items()}
+        if isinstance(value, Sequence) and not isinstance(value, bytes):
+            return [self._plain(item) for item in cast("Sequence[Any]", value)]
+        return str(value)
+
+    def _hash(self, image: Image) -> str:
+        """The hash of an image, computed once: the same object goes to three or four experts."""
+        known = self._hashes.get(id(image))
+        if known is not None and known[0]() is image:
+            return known[1]
+        name, number = image_hash(image), id(image)
+        self._hashes[number] = (weakref.ref(image, lambda _: self._hashes.pop(number, None)), name)
+        return name
+
+
+@dataclass(frozen=True)
+class CacheInfo:
+    """How much a cache holds."""
+
+    folder: Path
+    entries: int
+    bytes: int
+
+
+class Cache:
+    """A folder of answers, at most `limit_bytes` of them.
+
+    Raises:
+        ConfigError: the folder cannot be made or written to.
+    """
+
+    def __init__(self, folder: Path, limit_bytes: float = 20e9) -> None:
+        self.folder = folder
+        self._root = folder / FORMAT
+        self._limit = limit_bytes
+        self._lock = threading.Lock()
+        self._bytes: int | None = None
+        self._warned = False
+        try:
+            self._root.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"the cache folder {str(folder)!r} cannot be made: {error}; set A4_CACHE_DIR") from error
+
+    def get(self, key: str) -> Answer | None:
+        """The answer kept under `key`, or None; a damaged one is removed."""
+        path = self._path(key)
+        try:
+            data = path.read_bytes()
+        except OSError:
+            return None
+        answer = entries.unpack(data)
+        if answer is None:
+            with suppress(OSError):
+                path.unlink()
+            return None
+        with suppress(OSError):
+            os.utime(path)
+        return answer
+
+    def put(self, key: str, answer: Answer) -> None:
+        """Keep an answer, unless it is one that a second try may better (blank or cut off).
+        A disk that is full or read-only costs a warning and not the run.
+        """
+        if isinstance(answer, ChatAnswer) and (answer.finish_reason == "length" or not answer.text.strip()):
+            return
+        data = entries.pack(answer)
+        path = self._path(key)
+        draft = path.with_name(f".{uuid.uuid4().hex}.tmp")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            draft.write_bytes(data)
+            os.replace(draft, path)
+        except OSError as error:
+            with suppress(OSError):
+                draft.unlink()
+            # Windows refuses to replace a file that another process reads: then the answer is there already.
+            if not path.exists() and not self._warned:
+                self._warned = True
+                log.warning("answers cannot be kept in the cache at %s: %s", self.folder, error)
+            return
+        self._grow(len(data))
+
+    def info(self) -> CacheInfo:
+        """Count the answers."""
+        sizes = [size for _, size, _ in self._files()]
+        return CacheInfo(self.folder, len(sizes), sum(sizes))
+
+    def clear(self) -> CacheInfo:
+        """Remove everything; returns what there was."""
+        before = self.info()
+        with self._lock:
+            shutil.rmtree(self._root, ignore_errors=True)
+            self._root.mkdir(parents=True, exist_ok=True)
+            self._bytes = 0
+        return before
+
+    def evict(self) -> None:
+        """Bring the folder under its limit, the longest unused first, and remove what killed writers left."""
+        found = sorted(self._files())
+        total = sum(size for _, size, _ in found)
+        for _, size, path in found:
+            if total <= self._limit * KEEP:
+                break
+            with suppress(OSError):
+                path.unlink()
+                total -= size
+        self._bytes = total
+
+    def _grow(self, size: int) -> None:
+        with self._lock:
+            if self._bytes is None:
+                self._bytes = sum(size for _, size, _ in self._files())
+            else:
+                self._bytes += size
+            if self._bytes > self._limit:
+                self.evict()
+
+    def _path(self, key: str) -> Path:
+        return self._root / key[:2] / f"{key}.entry"
+
+    def _files(self) -> Iterator[tuple[float, int, Path]]:
+        """(time of last use, bytes, path) of each answer."""
+        now = time.time()
+        for folder in sorted(self._root.iterdir()) if self._root.is_dir() else ():
+            with suppress(OSError), os.scandir(folder) as found:
+                for item in found:
+                    with suppress(OSError):
+                        state = item.stat()
+                        if item.name.endswith(".entry"):
+                            yield state.st_mtime, state.st_size, Path(item.path)
+                        elif now - state.st_mtime > ABANDONED:
+                            os.unlink(item.path)

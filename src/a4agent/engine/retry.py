@@ -1,0 +1,112 @@
+"""When to ask again: how long a failed request waits, and how long an expert that keeps failing is left alone."""
+
+from __future__ import annotations
+
+import copy
+import random
+import threading
+import time
+
+from a4agent.errors import A4Error, ProviderError, RateLimited
+
+LONGEST_WAIT = 30.0
+FAILURES_TO_OPEN = 10
+
+
+def backoff(failures: int, first: float, error: Exception) -> float:
+    """Seconds before a request that failed `failures` times is sent again.
+
+    `first` seconds, doubled with each failure up to 30, shortened by up to a half at random so that requests
+    that failed together do not come back together; never less than the provider asked for.
+    """
+    wait = min(first * 2 ** (failures - 1), LONGEST_WAIT) * random.uniform(0.5, 1.0)
+    return max(wait, getattr(error, "retry_after", None) or 0.0)
+
+
+def fresh(error: A4Error) -> A4Error:
+    """The same error to be raised in another thread: each has its own traceback and count of attempts."""
+    twin = copy.copy(error)
+    twin.__cause__ = error.__cause__
+    return twin
+
+
+class Breaker:
+    """Leaves an expert alone while it is down.
+
+    After ten failures in a row it holds all calls back for `pause` seconds, lets one through to see, and
+    doubles the pause until one succeeds. An expert that was down for `outage_seconds` is given up: from then
+    on `enter` raises the reason, which is fatal to the run.
+    """
+
+    def __init__(self, expert: str, pause: float = 1.0, outage_seconds: float = 300.0) -> None:
+        self._expert = expert
+        self._first_pause = pause
+        self._outage_seconds = outage_seconds
+        self._changed = threading.Condition()
+        self._failures = 0
+        self._pause = pause
+        self._until = 0.0
+        self._down_since = 0.0
+        self._probing = False
+        self._given_up: A4Error | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the expert counts as down; failures then are the expert's, not the request's."""
+        return self._failures >= FAILURES_TO_OPEN
+
+    def enter(self) -> None:
+        """Wait until a call may be made.
+
+        Raises:
+            A4Error: the expert was given up.
+        """
+        with self._changed:
+            while True:
+                if self._given_up:
+                    raise fresh(self._given_up)
+                wait = self._until - time.monotonic()
+                if wait > 0:
+                    self._changed.wait(wait)
+                elif self.is_open and self._probing:
+                    self._changed.wait()
+                else:
+                    self._probing = self.is_open
+                    return
+
+    def succeeded(self) -> None:
+        """The expert answered (whatever it said)."""
+        with self._changed:
+            self._failures, self._pause, self._probing = 0, self._first_pause, False
+            self._changed.notify_all()
+
+    def failed(self, error: ProviderError) -> None:
+        """The expert could not be asked."""
+        with self._changed:
+            now = time.monotonic()
+            self._failures += 1
+            if isinstance(error, RateLimited) and error.retry_after:
+                self._until = max(self._until, now + min(error.retry_after, self._outage_seconds))
+            if self._failures == FAILURES_TO_OPEN:
+                self._down_since, self._until = now, max(self._until, now + self._pause)
+            elif self.is_open and self._probing:
+                self._pause = min(self._pause * 2, LONGEST_WAIT)
+                self._until, self._probing = max(self._until, now + self._pause), False
+                if now - self._down_since >= self._outage_seconds:
+                    self.give_up(self._explained(error, now))
+            self._changed.notify_all()
+
+    def give_up(self, error: A4Error) -> None:
+        """Make no call any more; each attempt raises `error`."""
+        with self._changed:
+            self._given_up = self._given_up or error
+            self._changed.notify_all()
+
+    def _explained(self, error: ProviderError, now: float) -> A4Error:
+        reason = ProviderError(
+            f"{self._expert} has failed {self._failures} times in a row for {now - self._down_since:.0f} s, so the run"
+            f" stops here; the last reason: {error}. Run the same command again when it is back (what is done"
+            " stays done), or wait longer with engine.outage_seconds"
+        )
+        reason.fatal = True
+        return reason

@@ -1,0 +1,96 @@
+"""What a run did: calls made and saved per expert, samples by status, seconds, dollars."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+from a4agent.affordance import Affordance
+from a4agent.experts.base import Usage
+
+
+@dataclass
+class ExpertStats:
+    """One expert's share. `asked` requests were sent in `batches` calls, `saved` ones answered without a call.
+
+    `seconds` is the sum over calls; `retries` counts requests sent again, `failures` those given up. `cost` is in
+    US dollars, `unpriced` counts answers without a price.
+    """
+
+    role: str
+    id: str
+    asked: int = 0
+    batches: int = 0
+    saved: int = 0
+    retries: int = 0
+    failures: int = 0
+    seconds: float = 0.0
+    cost: float = 0.0
+    unpriced: int = 0
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False, compare=False)
+
+    def count_call(self, requests: int, seconds: float) -> None:
+        with self._lock:
+            self.asked += requests
+            self.batches += 1
+            self.seconds += seconds
+
+    def count_answer(self, usage: Usage) -> None:
+        with self._lock:
+            if usage.cached:
+                self.saved += 1
+            elif usage.cost is None:
+                self.unpriced += 1
+            else:
+                self.cost += usage.cost
+
+    def count_failure(self, *, again: bool) -> None:
+        with self._lock:
+            self.retries += again
+            self.failures += not again
+
+
+class Stats:
+    """Filled by `engine.run(..., stats=stats)` while it goes on, and complete when it is over."""
+
+    def __init__(self) -> None:
+        self.experts: dict[str, ExpertStats] = {}
+        self.samples: Counter[str] = Counter()
+        self._started = time.monotonic()
+
+    @property
+    def asked(self) -> int:
+        """Requests sent to experts."""
+        return sum(expert.asked for expert in self.experts.values())
+
+    @property
+    def saved(self) -> int:
+        """Requests answered from the cache or by an identical one in flight."""
+        return sum(expert.saved for expert in self.experts.values())
+
+    @property
+    def cost(self) -> float:
+        """US dollars, as far as prices are known."""
+        return sum(expert.cost for expert in self.experts.values())
+
+    @property
+    def seconds(self) -> float:
+        """Wall time since the start."""
+        return time.monotonic() - self._started
+
+    def of(self, role: str, id: str) -> ExpertStats:
+        """The share of one expert in one role."""
+        return self.experts.setdefault(f"{role} {id}", ExpertStats(role, id))
+
+    def count_sample(self, affordance: Affordance) -> None:
+        self.samples[affordance.status] += 1
+
+    def lines(self) -> list[str]:
+        """For people: one line an expert."""
+        return [
+            f"{e.role:9} {e.id}: {e.asked} asked in {e.batches} calls, {e.saved} saved, {e.retries} retried,"
+            f" {e.failures} failed, {e.seconds:.1f} s" + (f", ${e.cost:.4f}" if e.cost else "")
+            for e in self.experts.values()
+        ]
