@@ -45,7 +45,9 @@ def decode(rle: Mapping[str, Any]) -> np.ndarray:
             plain: Any = {"size": [height, width], "counts": counts}
             packed: Any = coco.frPyObjects(plain, height, width)
         else:
-            raw = counts.encode("ascii") if isinstance(counts, str) else bytes(counts)
+            if not isinstance(counts, str | bytes):
+                raise TypeError(f"counts are text or a list, not {type(counts).__name__}")
+            raw = counts.encode("ascii") if isinstance(counts, str) else counts
             packed = {"size": [height, width], "counts": raw}
         if int(coco.area(packed)) > height * width:
             raise ValueError("it counts more pixels than it has")

@@ -1,0 +1,52 @@
+# make demo    sets up, runs the agent on a real photograph
+# make test    sets up, runs every check
+PYTHON ?= python3
+# The checks need torch on the CPU only; pin what pip should take (an index or a file of yours works too).
+TORCH ?= torch==2.13.0
+# Simulator assets: read as data, so their own requirements stay out.
+SIM_ASSETS ?= metaworld==3.1.1 gymnasium-robotics==1.4.2 robosuite==1.5.2
+BIN := .venv/bin
+PIP := $(BIN)/pip install -q --disable-pip-version-check
+
+.PHONY: demo test check system docs perf clean
+
+demo: .venv/.demo
+	@$(BIN)/a4 predict examples/coffee.jpg "lift the cup" --profile offline --out out/demo
+
+test: .venv/.test system check
+
+check:
+	$(BIN)/ruff check src tests perf
+	$(BIN)/ruff format --check -q src tests perf
+	$(BIN)/pyright
+	$(BIN)/lint-imports --no-cache
+	$(BIN)/python -m pytest -rs
+
+docs: .venv/.test
+	$(BIN)/mkdocs build --strict -q
+
+perf: .venv/.test
+	$(BIN)/python perf/start.py
+
+# What some tests drive: a browser for the page and the report, a software renderer for the simulator.
+# Without root they are skipped, each naming its package.
+system:
+	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && ! { command -v chromium && ldconfig -p | grep -q libOSMesa; } >/dev/null; then \
+		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq chromium libosmesa6 >/dev/null; \
+	fi
+
+.venv/pyvenv.cfg:
+	$(PYTHON) -m venv .venv
+
+.venv/.demo: .venv/pyvenv.cfg pyproject.toml
+	$(PIP) -e '.[offline]'
+	@touch $@
+
+.venv/.test: .venv/pyvenv.cfg pyproject.toml
+	$(PIP) '$(TORCH)'
+	$(PIP) -e '.[all,test]'
+	$(PIP) --no-deps $(SIM_ASSETS)
+	@touch $@ .venv/.demo
+
+clean:
+	rm -rf .venv out site .pytest_cache .ruff_cache .hypothesis

@@ -1,0 +1,133 @@
+"""`a4 predict`: what it takes, writes, prints and exits with."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from a4agent.cli.main import main
+from a4agent.cli.predict import name_samples, split_arguments
+from a4agent.errors import InputError
+from a4agent.experts import registry
+from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, output
+
+PROFILE = """
+[profile]
+summary = "for tests"
+[thinker]
+vlm = "mine:vlm"
+[spotter]
+detector = "mine:detector"
+segmenter = "mine:segmenter"
+"""
+
+
+@pytest.fixture(autouse=True)
+def _scripted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A folder with photos, and a profile of scripted experts; "fail" in an instruction makes the VLM mumble."""
+
+    def make(model: str, role: str) -> object:
+        if model == "vlm":
+            return ScriptedVLM(lambda asked: "hm" if "fail" in asked.text else output("the handle of the mug", "mug"))
+        return ScriptedDetector() if model == "detector" else ScriptedSegmenter()
+
+    monkeypatch.setitem(registry._added, "mine", make)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a4.toml").write_text(f"profile = '{tmp_path / 'mine.toml'}'")
+    (tmp_path / "mine.toml").write_text(PROFILE)
+    (tmp_path / "photos" / "left").mkdir(parents=True)
+    for name in ("mug.png", "cup.v2.png", "left/mug.png"):
+        Image.new("RGB", (64, 48), "grey").save(tmp_path / "photos" / name)
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as caught:
+        main(["predict", *arguments])
+    return int(caught.value.code or 0)
+
+
+def test_one_image_writes_its_folder_and_says_where(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("photos/mug.png", "drink") == 0
+    assert sorted(p.name for p in Path("out/mug").iterdir()) == ["affordance.json", "mask.png", "overlay.png"]
+    said = capsys.readouterr().out
+    assert "the handle of the mug" in said
+    assert "16, 12, 48, 36" in said
+    assert "out/mug/overlay.png" in said
+
+
+def test_a_folder_of_images_keeps_every_name_apart(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("photos", "drink", "--out", "there", "--json") == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len({line["out"] for line in lines}) == 3
+    assert {Path(line["image"]).as_posix() for line in lines} == {
+        "photos/mug.png",
+        "photos/cup.v2.png",
+        "photos/left/mug.png",
+    }
+    assert all(Path(line["out"], "mask.png").exists() for line in lines)
+    assert {line["status"] for line in lines} == {"ok"}
+
+
+def test_one_bad_file_fails_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("photos/broken.jpg").write_bytes(b"\xff\xd8\xff not a picture")
+    Path("photos/empty.jpg").touch()
+    assert run("photos", "none.png", "drink", "--json") == 1
+    lines = {Path(line["image"]).name: line for line in map(json.loads, capsys.readouterr().out.splitlines())}
+    assert len(lines) == 5  # two photos share the name mug.png
+    assert lines["mug.png"]["status"] == "ok"
+    assert "empty file" in lines["empty.jpg"]["error"]
+    assert "no such image" in lines["none.png"]["error"]
+    assert lines["broken.jpg"]["status"] == "error"
+    assert Path(lines["empty.jpg"]["out"], "affordance.json").exists()
+
+
+def test_an_answer_that_cannot_be_used_exits_with_1(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("photos/mug.png", "fail at it") == 1
+    assert "invalid" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["photos/mug.png"], "an instruction"),
+        (["photos/mug.png", "photos/cup.v2.png"], "instruction"),
+        (["photos/mug.png", "  "], "instruction"),
+        (["photos/*.jpg", "drink"], "nothing matches"),
+        (["photos/mug.png", "drink", "--set", "spotter.segmentor=x:y"], "segmenter"),
+        (["photos/mug.png", "drink", "--set", "novalue"], "NAME=VALUE"),
+        (["photos/mug.png", "drink", "--profile", "ofline"], "offline"),
+        (["photos/mug.png", "drink", "--set", "spotter.detector=min:x"], "mine"),
+        (["photos/mug.png", "drink", "--out", "a4.toml"], "--out"),
+        (["photos/mug.png", "drink", "--cache", "maybe"], "cache"),
+    ],
+)
+def test_wrong_use_exits_with_2_and_says_what_is_right(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(*arguments) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert "Traceback" not in said
+
+
+def test_globs_and_folders_and_files_mix() -> None:
+    images, instruction = split_arguments(["photos/left", "photos/*.png", "photos/mug.png", "drink it"])
+    assert [path.as_posix() for path in images] == ["photos/left/mug.png", "photos/cup.v2.png", "photos/mug.png"]
+    assert instruction == "drink it"
+    with pytest.raises(InputError, match="no images"):
+        Path("bare").mkdir()
+        split_arguments(["bare", "drink"])
+
+
+def test_names_are_short_unique_and_whole() -> None:
+    paths = [
+        Path(p) for p in ("a/mug.png", "b/mug.png", "cup.v2.png", "pan.jpg", "pan.png", "x/a/mug.png", "Cup.v2.png")
+    ]
+    names = name_samples(paths)
+    assert sorted(names.values()) == sorted(paths)
+    assert len({name.lower() for name in names}) == len(paths)
+    assert names["pan.jpg"] == Path("pan.jpg")
+    assert names["b_mug.png"] == Path("b/mug.png")

@@ -1,0 +1,58 @@
+"""From "provider:model" to an expert, and what is said when there is none."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint
+from typing import Any
+
+import pytest
+
+from a4agent.errors import ConfigError, UnknownNameError
+from a4agent.experts import registry
+from a4agent.testing import ScriptedDetector
+
+
+def make(model: str, role: str, *, size: int = 3) -> Any:
+    return ScriptedDetector(id=f"mine:{model}", max_batch=size)
+
+
+@pytest.fixture(autouse=True)
+def _mine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "_added", {"mine": make})
+
+
+def test_an_expert_gets_its_model_and_settings() -> None:
+    expert = registry.create("mine:a/b:c", "detector", {"size": 5})
+    assert (expert.id, expert.max_batch) == ("mine:a/b:c", 5)
+
+
+@pytest.mark.parametrize("spec", ["mine", ":model", ""])
+def test_a_spec_without_provider_and_colon_is_explained(spec: str) -> None:
+    with pytest.raises(ConfigError, match="provider:model"):
+        registry.create(spec, "detector")
+
+
+def test_an_unknown_provider_suggests_the_nearest() -> None:
+    with pytest.raises(UnknownNameError, match="did you mean 'sam2'"):
+        registry.create("sam22:tiny", "segmenter")
+
+
+def test_an_unknown_setting_suggests_the_nearest() -> None:
+    with pytest.raises(UnknownNameError, match="'sizes'; did you mean 'size'"):
+        registry.create("mine:x", "detector", {"sizes": 5})
+
+
+def test_a_role_the_expert_cannot_play_is_refused() -> None:
+    with pytest.raises(ConfigError, match="cannot be a vlm"):
+        registry.create("mine:x", "vlm")
+
+
+def test_all_built_in_providers_are_entry_points() -> None:
+    assert {"openai", "transformers", "rex-omni", "sam2", "offline", "vlm-grounding"} <= set(registry.providers())
+
+
+def test_a_broken_plugin_is_a_warning_that_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = EntryPoint("broken", "no_such_module_anywhere:create", registry.GROUP)
+    monkeypatch.setattr(registry, "_entry_points", lambda: {"broken": broken})
+    with pytest.warns(UserWarning, match="broken.*no_such_module_anywhere"), pytest.raises(ConfigError, match="broken"):
+        registry.create("broken:x", "vlm")

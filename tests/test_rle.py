@@ -1,0 +1,55 @@
+"""Run-length encoding against COCO's own rules."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+
+from a4agent import rle
+from a4agent.errors import DataError
+
+
+@given(arrays(bool, array_shapes(min_dims=2, max_dims=2, max_side=20)))
+def test_there_and_back(mask: np.ndarray) -> None:
+    packed = json.loads(json.dumps(rle.encode(mask)))
+    np.testing.assert_array_equal(rle.decode(packed), mask)
+
+
+def test_counts_run_down_the_columns() -> None:
+    mask = np.zeros((3, 2), bool)
+    mask[1:, 0] = True
+    np.testing.assert_array_equal(rle.decode({"size": [3, 2], "counts": [1, 2, 3]}), mask)
+
+
+def test_no_pixels() -> None:
+    assert rle.decode(rle.encode(np.zeros((0, 4), bool))).shape == (0, 4)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        {},
+        {"size": [2, 2]},
+        {"size": [2], "counts": ""},
+        {"size": [-1, 4], "counts": ""},
+        {"size": [2, 2], "counts": "é"},
+        {"size": [2, 2], "counts": [9, 9, 9]},
+        {"size": [10**6, 10**6], "counts": "0"},
+        {"size": [2, 2], "counts": 4},
+    ],
+)
+def test_nonsense_is_refused(value: dict[str, object]) -> None:
+    with pytest.raises(DataError):
+        rle.decode(value)
+
+
+@given(st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=30))
+def test_any_counts_are_read_or_refused(counts: str) -> None:
+    with contextlib.suppress(DataError):
+        assert rle.decode({"size": [5, 4], "counts": counts}).shape == (5, 4)

@@ -1,0 +1,70 @@
+"""Writing answers where they can and cannot be written."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from a4agent import Affordance, Imagination
+from a4agent.errors import DataError, InputError
+from a4agent.images import load_image
+from a4agent.saving import load, make_folder, write_atomically
+
+EMPTY = Affordance("open it", (8, 6), status="empty")
+
+
+def test_the_imagination_is_saved_when_there_is_one(tmp_path: Path) -> None:
+    dreamt = replace(EMPTY, imagination=Imagination("Edit it.", Image.new("RGB", (5, 5), "red")))
+    dreamt.save(tmp_path)
+    assert load_image(tmp_path / "imagination.png").size == (5, 5)
+    imagination = load(tmp_path).imagination
+    assert imagination is not None
+    assert imagination.prompt == "Edit it."
+
+
+def test_a_failed_sample_without_a_size_is_saved_too(tmp_path: Path) -> None:
+    Affordance("open it", (0, 0), status="error", error="no such image").save(tmp_path)
+    assert load(tmp_path).error == "no such image"
+    assert not (tmp_path / "mask.png").exists()
+
+
+def test_a_folder_that_is_a_file_is_an_error_that_names_it(tmp_path: Path) -> None:
+    (tmp_path / "out").touch()
+    for folder in (tmp_path / "out", tmp_path / "out" / "mug"):
+        with pytest.raises(InputError, match=r"out.*--out"):
+            make_folder(folder)
+        with pytest.raises(InputError, match=r"out.*--out"):
+            EMPTY.save(folder)
+
+
+def test_replacing_a_file_leaves_no_other(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    for text in ("one", "two"):
+        write_atomically(path, text)
+    assert path.read_text() == "two"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_failed_write_keeps_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    write_atomically(path, "old")
+    with pytest.raises(UnicodeEncodeError):
+        write_atomically(path, "\ud800")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_reading_what_is_not_there_or_not_an_answer(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"affordance\.json"):
+        load(tmp_path)
+    (tmp_path / "affordance.json").write_text('{"schema": 2}')
+    with pytest.raises(DataError):
+        load(tmp_path)
+
+
+def test_masks_are_the_size_of_the_image(tmp_path: Path) -> None:
+    EMPTY.save(tmp_path)
+    assert load_image(tmp_path / "mask.png").size == (8, 6)
