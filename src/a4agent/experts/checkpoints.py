@@ -13,7 +13,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -57,7 +57,7 @@ def find_checkpoint(model: str, *, kinds: Sequence[str] = (), revision: str | No
     elif path.exists():
         raise ModelFilesError(f"{model!r} is a file; give the folder that holds config.json and the weights")
     elif _NAME.fullmatch(model):
-        folder = _from_cache(model, revision) or _from_hub(model, revision)
+        folder = _from_cache(model, revision) or _download(model, revision)
         commit = folder.name
     else:
         raise ModelFilesError(f"there is no folder {model!r}, and the name of a model is written 'OWNER/NAME'")
@@ -89,6 +89,24 @@ def _numbers_in(file: Path) -> int:
     return sum(math.prod(tensor["shape"]) for name, tensor in header.items() if name != "__metadata__")
 
 
+def find_file(name: str, *, revision: str | None = None) -> Path:
+    """One file of weights: a path on this disk, or OWNER/NAME/PATH on the hub, downloaded if need be.
+
+    Raises:
+        ModelFilesError: there is no such file, or the hub cannot be reached.
+    """
+    if Path(name).expanduser().is_file():
+        return Path(name).expanduser()
+    model, file = "/".join(name.split("/")[:2]), "/".join(name.split("/")[2:])
+    if not _NAME.fullmatch(model) or not file:
+        raise ModelFilesError(f"there is no file {name!r}; a file on the hub is written 'OWNER/NAME/PATH'")
+    hub: Any = require("huggingface_hub", extra="local")
+    cached = hub.try_to_load_from_cache(model, file, revision=revision)
+    if isinstance(cached, str):
+        return Path(cached)
+    return _from_hub(model, revision, lambda: hub.hf_hub_download(model, file, revision=revision))
+
+
 def _from_cache(model: str, revision: str | None) -> Path | None:
     hub: Any = require("huggingface_hub", extra="local")
     errors: Any = require("huggingface_hub.errors", extra="local")
@@ -98,7 +116,12 @@ def _from_cache(model: str, revision: str | None) -> Path | None:
         return None
 
 
-def _from_hub(model: str, revision: str | None) -> Path:
+def _download(model: str, revision: str | None) -> Path:
+    hub: Any = require("huggingface_hub", extra="local")
+    return _from_hub(model, revision, lambda: hub.snapshot_download(model, revision=revision, allow_patterns=PATTERNS))
+
+
+def _from_hub(model: str, revision: str | None, download: Callable[[], str]) -> Path:
     hub: Any = require("huggingface_hub", extra="local")
     errors: Any = require("huggingface_hub.errors", extra="local")
     pull = f"`a4 models pull {model}` where there is a network (or give a folder instead of the name)"
@@ -109,7 +132,7 @@ def _from_hub(model: str, revision: str | None) -> Path:
     try:
         # A small question first: an unreachable hub is known in seconds, before any work starts.
         hub.HfApi().model_info(model, revision=revision, timeout=_PROBE_SECONDS)
-        return Path(hub.snapshot_download(model, revision=revision, allow_patterns=PATTERNS))
+        return Path(download())
     except errors.GatedRepoError as error:
         raise CredentialError(
             f"{model!r} is gated: accept its licence on the model's page, then `hf auth login` (or set HF_TOKEN)"
@@ -120,12 +143,17 @@ def _from_hub(model: str, revision: str | None) -> Path:
         ) from error
     except errors.RevisionNotFoundError as error:
         raise ModelFilesError(f"{model!r} has no revision {revision!r}") from error
+    except errors.EntryNotFoundError as error:
+        raise ModelFilesError(f"{model!r} lacks a file: {_first_line(error)}") from error
     except Exception as error:  # the hub's client changes its HTTP library, and with it the classes, between versions
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ModelFilesError(
-            f"{model!r} is not on this machine, and the hub could not be reached ({reason}): run {pull}; "
+            f"{model!r} is not on this machine, and the hub could not be reached ({_first_line(error)}): run {pull}; "
             "HF_HUB_OFFLINE=1 stops all attempts"
         ) from error
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
 def _kind(model: str, folder: Path) -> str:

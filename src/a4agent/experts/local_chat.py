@@ -121,8 +121,10 @@ class ChatModel:
         return min(self._end_token_ids) if pad is None else pad
 
 
-def load_processor(folder: Path, **options: Any) -> Any:
+def load_processor(folder: Path, class_name: str | None = None) -> Any:
     """The processor of a checkpoint; without torchvision one that takes images and no video.
+
+    `class_name` is the processor's class where the folder does not say (a part of a pipeline).
 
     Raises:
         ModelFilesError: its files are missing or damaged.
@@ -130,20 +132,26 @@ def load_processor(folder: Path, **options: Any) -> Any:
     transformers: Any = require("transformers", extra="local")
     try:
         try:
-            return transformers.AutoProcessor.from_pretrained(str(folder), local_files_only=True, **options)
+            loader = getattr(transformers, class_name or "AutoProcessor")
+            processor = loader.from_pretrained(str(folder), local_files_only=True)
         except ImportError as error:
             if "torchvision" not in str(error).lower():
                 raise
-            return _without_video(transformers, folder, **options)
+            processor = _without_video(transformers, folder, class_name)
     except (OSError, ValueError, KeyError, ImportError) as error:
         raise ModelFilesError(f"the processor in {str(folder)!r} cannot be loaded: {error}") from error
+    if not hasattr(processor, "image_processor"):
+        raise ModelFilesError(f"{str(folder)!r} takes no images: it has a {type(processor).__name__} only")
+    return processor
 
 
-def _without_video(transformers: Any, folder: Path, **options: Any) -> Any:
+def _without_video(transformers: Any, folder: Path, class_name: str | None) -> Any:
     """The checkpoint's own processor class, put together without its video half (which needs torchvision)."""
-    mapping: Any = require("transformers.models.auto.processing_auto", extra="local")
-    config = transformers.AutoConfig.from_pretrained(str(folder), local_files_only=True)
-    base = mapping.PROCESSOR_MAPPING[type(config)]
+    if class_name:
+        base = getattr(transformers, class_name)
+    else:
+        mapping: Any = require("transformers.models.auto.processing_auto", extra="local")
+        base = mapping.PROCESSOR_MAPPING[type(transformers.AutoConfig.from_pretrained(str(folder)))]
     saved, _ = base.get_processor_dict(str(folder), local_files_only=True)
     tokenizer = transformers.AutoTokenizer.from_pretrained(str(folder), local_files_only=True)
 
@@ -157,7 +165,7 @@ def _without_video(transformers: Any, folder: Path, **options: Any) -> Any:
     given: dict[str, Any] = {name: value for name, value in saved.items() if name in parameters}
     given |= {
         "image_processor": transformers.AutoImageProcessor.from_pretrained(
-            str(folder), local_files_only=True, backend="pil", **options
+            str(folder), local_files_only=True, backend="pil"
         ),
         "tokenizer": tokenizer,
         "video_processor": None,

@@ -185,7 +185,6 @@ def save_qwen_image_edit(folder: Path, *, transformer: Any = None, vae: Any = No
         for file in text_encoder.iterdir():
             if not file.name.startswith(("model", "config", "generation")):
                 (folder / name / file.name).write_bytes(file.read_bytes())
-    (folder / "processor" / "config.json").write_bytes((text_encoder / "config.json").read_bytes())
     torch.manual_seed(seed)
     latents = 4
     parts: dict[str, Any] = {
@@ -261,7 +260,9 @@ def _save_qwen_model(folder: Path, config: Any, seed: int) -> Path:
         vision_start_token_id=ids["<|vision_start|>"],
         vision_end_token_id=ids["<|vision_end|>"],
     )
-    t.Qwen2VLImageProcessorPil(min_pixels=56 * 56, max_pixels=112 * 112).save_pretrained(folder)
+    t.Qwen2VLImageProcessorPil(
+        min_pixels=56 * 56, max_pixels=112 * 112, processor_class="Qwen2_5_VLProcessor"
+    ).save_pretrained(folder)
     return _save_model(folder, t.Qwen2_5_VLForConditionalGeneration, config, seed)
 
 
