@@ -64,14 +64,19 @@ def read_mask(path: Path) -> np.ndarray:
                 raise DataError(f"the mask {str(path)!r} has {image.width} x {image.height} pixels, which is too many")
             if image.mode in ("RGBA", "LA", "PA"):
                 image = image.convert(image.mode[:-1] if image.mode != "PA" else "RGB")
-            values: np.ndarray = np.asarray(image) != 0
+            foreground = np.asarray(np.asarray(image) != 0)
     except DataError:
         raise
     except FileNotFoundError as error:
         raise DataError(f"no such mask: {str(path)!r}") from error
     except Exception as error:  # decoders raise errors of their own: struct.error, zlib.error, SyntaxError, ...
         raise DataError(f"the mask {str(path)!r} cannot be read: {error}") from error
-    return values.any(axis=2) if values.ndim == 3 else values
+    return np.logical_or.reduce(foreground, axis=2) if foreground.ndim == 3 else foreground
+
+
+def read_mask_in(root: Path, relative: str) -> np.ndarray:
+    """`read_mask` of a file that the dataset in `root` names; raises DataError also where that leads outside."""
+    return read_mask(confined(root, relative))
 
 
 def read_rle(value: Any, where: str) -> np.ndarray:

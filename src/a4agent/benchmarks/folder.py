@@ -172,7 +172,7 @@ def _union(root: Path, identity: str, masks: list[Any]) -> np.ndarray:
 
 def _read(root: Path, identity: str, mask: Any) -> np.ndarray:
     if isinstance(mask, str):
-        return files.read_mask(files.confined(root, mask))
+        return files.read_mask_in(root, mask)
     where = f"the mask of sample {identity!r}"
     if "polygons" in mask:
         return files.read_polygons(mask["polygons"], mask["size"], where)
