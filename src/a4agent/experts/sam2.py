@@ -136,7 +136,7 @@ class SamSegmenter(LocalExpert):
         if missing:
             side = self._side()
             pixels = torch.cat([to_square(image, side, *self.mean_and_std) for image in missing.values()])
-            with _autocast(self.placement):
+            with autocast(self.placement):
                 levels = self._model.get_image_embeddings(pixels.to(self.placement.input_device))
             for k, name in enumerate(missing):
                 found[name] = [level[k : k + 1].float() for level in levels]
@@ -158,7 +158,7 @@ class SamSegmenter(LocalExpert):
                 chunk = indices[start : start + _PROMPTS_AT_ONCE]
                 low, iou = self._ask_decoder(embedding, [request.prompts[k] for k in chunk], request.image.size)
                 for k, candidates, quality in zip(chunk, low, iou, strict=True):
-                    masks[k] = _at_size(candidates, height, width)
+                    masks[k] = logits_to_mask(candidates, height, width)
                     predicted_iou[k] = quality.cpu().numpy()
         return masks, predicted_iou
 
@@ -206,7 +206,8 @@ def _same_kind(prompts: Sequence[Prompt]) -> list[list[int]]:
     return list(kinds.values())
 
 
-def _at_size(logits: Any, height: int, width: int) -> np.ndarray:
+def logits_to_mask(logits: Any, height: int, width: int) -> np.ndarray:
+    """Mask logits (c, h, w) as masks (c, height, width)."""
     torch: Any = require("torch", extra="local")
     resized = torch.nn.functional.interpolate(
         logits[None].float(), size=(height, width), mode="bilinear", align_corners=False
@@ -214,7 +215,7 @@ def _at_size(logits: Any, height: int, width: int) -> np.ndarray:
     return (resized[0] > 0).cpu().numpy()
 
 
-def _autocast(placement: Placement) -> Any:
+def autocast(placement: Placement) -> Any:
     """The encoder in half precision, its weights and residuals in float32: as the checkpoints' authors run it."""
     torch: Any = require("torch", extra="local")
     kind = torch.device(placement.input_device).type
