@@ -43,8 +43,8 @@ class Budget:
                 if not self._running:
                     raise BudgetExceeded(
                         f"the budget of engine.max_cost = {self._max_cost:g} dollars is used up:"
-                        f" {self._spent:.4f} spent on {self._finished} samples, and the next may cost {self._dearest or 0.0:.4f};"
-                        " raise it and run again to go on"
+                        f" {self._spent:.4f} spent on {self._finished} samples, and the next may cost"
+                        f" {self._dearest or 0.0:.4f}; raise it and run again to go on"
                     )
                 self._changed.wait()
                 self._check_time()
@@ -77,5 +77,6 @@ class Budget:
         if elapsed + self._seconds_each > self._max_seconds:
             raise BudgetExceeded(
                 f"the budget of engine.max_seconds = {self._max_seconds:g} is used up:"
-                f" {self._finished} samples ended in {elapsed:.1f} s, and another takes {self._seconds_each:.1f} s; run again to go on"
+                f" {self._finished} samples ended in {elapsed:.1f} s, and another takes"
+                f" {self._seconds_each:.1f} s; run again to go on"
             )

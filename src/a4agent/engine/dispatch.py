@@ -134,7 +134,8 @@ class Dispatcher:
                             " may take (engine.max_sample_seconds)"
                         )
                         job.settle(error, seconds)
-                if seconds > 2 * limit and all(job.settled for job in call.jobs):
+                        self.breaker.failed(error)
+                if seconds > 2 * limit:
                     call.replaced = True
                     self._calls.discard(call)
                     self._threads -= 1

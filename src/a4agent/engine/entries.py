@@ -23,7 +23,7 @@ def pack(answer: Answer) -> bytes:
         fields |= {"text": answer.text, "reasoning": answer.reasoning, "finish_reason": answer.finish_reason}
     elif isinstance(answer, EditAnswer):
         buffer = io.BytesIO()
-        answer.image.save(buffer, "PNG", compress_level=1)
+        answer.image.convert("RGB").save(buffer, "PNG", compress_level=1)
         picture = buffer.getvalue()
     elif isinstance(answer, Detection):
         fields |= {

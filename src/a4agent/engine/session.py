@@ -16,8 +16,9 @@ from typing import Any, cast
 from a4agent.affordance import Affordance, Given, Query
 from a4agent.agent import A4Agent
 from a4agent.config import EngineSettings
-from a4agent.engine.cache import Cache, Keys, default_folder
+from a4agent.engine.cache import Cache, default_folder
 from a4agent.engine.dispatch import Dispatcher, Job
+from a4agent.engine.keys import Keys
 from a4agent.engine.retry import Breaker, backoff, fresh
 from a4agent.engine.stats import Stats
 from a4agent.errors import A4Error, BudgetExceeded, ProviderError

@@ -1,0 +1,325 @@
+"""Every query has one answer, in order if asked; nothing is read ahead of need; stops are clean."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from a4agent import engine
+from a4agent.affordance import Affordance, Given, Query, Target
+from a4agent.agent import A4Agent
+from a4agent.engine import EngineSettings, Stats
+from a4agent.errors import BudgetExceeded, CredentialError, RequestRejected
+from a4agent.experts.base import ChatAnswer, ChatRequest, Detection, DetectRequest, Usage
+from a4agent.spotter import Spotter
+from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedSegmenter, ScriptedVLM, output, scripted_agent
+from a4agent.thinker import Thinker
+
+Queries = Callable[[int], Iterator[Query]]
+
+
+def test_every_query_is_answered_once_with_its_own_answer(queries: Queries) -> None:
+    def named(request: ChatRequest) -> str:
+        number = int(np.asarray(request.images[0])[0, 0, 0])
+        return output(f"part {number}")
+
+    agent = A4Agent(None, Thinker(ScriptedVLM(named, concurrency=4)), Spotter(ScriptedDetector(), ScriptedSegmenter()))
+    answers = list(engine.run(agent, queries(100)))
+    assert Counter(query.id for query, _ in answers) == Counter(f"q{n}" for n in range(100))
+    for query, affordance in answers:
+        assert affordance.id == query.id
+        assert affordance.target is not None
+        assert affordance.target.object_part == f"part {query.id[1:]}"
+        assert affordance.status == "ok"
+
+
+def test_ordered_answers_come_in_the_order_of_the_queries(queries: Queries) -> None:
+    lock, turn = threading.Lock(), [0]
+
+    def uneven(request: ChatRequest) -> str:
+        with lock:
+            turn[0] += 1
+            late = turn[0] % 5 == 1
+        time.sleep(0.02 if late else 0)
+        return output("the handle")
+
+    agent = A4Agent(None, Thinker(ScriptedVLM(uneven, concurrency=8)), Spotter(ScriptedDetector(), ScriptedSegmenter()))
+    assert [q.id for q, _ in engine.run(agent, queries(60), ordered=True)] == [f"q{n}" for n in range(60)]
+    assert [q.id for q, _ in engine.run(agent, queries(60))] != [f"q{n}" for n in range(60)]
+
+
+def test_stages_of_different_samples_overlap(queries: Queries) -> None:
+    """The editor of one sample returns only when the detector of another is being asked at the same time."""
+    both = threading.Barrier(2, timeout=20)
+    first = iter([False] + [True] * 10)
+
+    def edit(request: Any) -> Any:
+        if next(first):
+            both.wait()
+        return request.image
+
+    def detect(request: DetectRequest) -> list[Any]:
+        both.wait()
+        return [[0, 0, 4, 4]]
+
+    agent = scripted_agent(dream=True)
+    assert agent.dreamer is not None
+    dreamer = type(agent.dreamer)(agent.dreamer.vlm, ScriptedEditor(edit))
+    agent = A4Agent(dreamer, agent.thinker, Spotter(ScriptedDetector(detect), ScriptedSegmenter()))
+    answers = []
+    for answer in engine.run(agent, queries(4)):
+        answers.append(answer)
+        if len(answers) == 3:  # the last detection has no edit beside it
+            threading.Thread(target=both.wait, daemon=True).start()
+    assert [a.status for _, a in answers] == ["ok"] * 4
+
+
+def test_queries_are_taken_as_they_are_needed(queries: Queries) -> None:
+    taken = 0
+
+    def counted() -> Iterator[Query]:
+        nonlocal taken
+        for query in queries(10_000):
+            taken += 1
+            yield query
+
+    settings = EngineSettings(in_flight=3)
+    running = engine.run(scripted_agent(), counted(), settings=settings)
+    for _ in range(10):
+        next(running)
+    time.sleep(0.1)
+    assert taken <= 10 + 2 * 3 + 3
+    running.close()
+    before = taken
+    time.sleep(0.05)
+    assert taken <= before + 3
+
+
+@pytest.mark.parametrize("ordered", [False, True])
+def test_samples_that_cannot_be_used_are_answers_too(ordered: bool, tmp_path: Any) -> None:
+    queries = [
+        Query("gone", tmp_path / "gone.png", "open"),
+        Query("blank", np.zeros((4, 4, 3), np.uint8), "  "),
+        Query("not text", np.zeros((4, 4, 3), np.uint8), None),  # type: ignore[arg-type]
+        Query("garbage", b"not an image", "open"),
+        Query("good", np.zeros((8, 8, 3), np.uint8), "open"),
+    ]
+    stats = Stats()
+    answers = {q.id: a for q, a in engine.run(scripted_agent(), queries, ordered=ordered, stats=stats)}
+    assert len(answers) == 5
+    assert answers["good"].status == "ok"
+    for name in ("gone", "blank", "not text", "garbage"):
+        assert answers[name].status == "error"
+        assert answers[name].id == name
+        assert (answers[name].error or "").startswith("InputError: ")
+        assert answers[name].mask.shape == (0, 0)
+    assert stats.samples == {"error": 4, "ok": 1}
+
+
+def test_one_failing_request_fails_its_sample_alone(queries: Queries) -> None:
+    def picky(request: DetectRequest) -> Any:
+        number = int(np.asarray(request.image)[0, 0, 0])
+        if number == 3:
+            return RequestRejected("no such picture, please")
+        if number == 5:
+            raise ZeroDivisionError("a bug in an expert")
+        return [[0, 0, 4, 4]]
+
+    agent = A4Agent(None, None, Spotter(ScriptedDetector(picky, max_batch=4), ScriptedSegmenter()))
+    answers = {q.id: a for q, a in engine.run(agent, queries(20))}
+    assert sorted(name for name, a in answers.items() if a.status != "ok") == ["q3", "q5"]
+    assert "no such picture, please" in (answers["q3"].error or "")
+    assert "a bug in an expert" in (answers["q5"].error or "")
+    assert answers["q5"].trace.steps[-1].error
+    assert sum(a.status == "ok" for a in answers.values()) == 18
+
+
+def test_a_refused_key_stops_the_run_after_what_is_done(queries: Queries) -> None:
+    lock = threading.Lock()
+    calls = [0]
+
+    def expiring(request: DetectRequest) -> Any:
+        with lock:
+            calls[0] += 1
+            return [[0, 0, 4, 4]] if calls[0] <= 20 else CredentialError("the key has expired")
+
+    agent = A4Agent(None, None, Spotter(ScriptedDetector(expiring, concurrency=4), ScriptedSegmenter()))
+    done: list[Affordance] = []
+    with pytest.raises(CredentialError, match="expired"):
+        for _, affordance in engine.run(agent, queries(1000)):
+            done.append(affordance)
+    assert [a.status for a in done] == ["ok"] * 20
+    assert calls[0] <= 20 + 4
+
+
+def test_an_error_of_the_queries_is_raised_when_the_rest_is_done(queries: Queries) -> None:
+    def broken() -> Iterator[Query]:
+        yield from queries(7)
+        raise RuntimeError("the dataset broke")
+
+    done = []
+    with pytest.raises(RuntimeError, match="the dataset broke"):
+        for answer in engine.run(scripted_agent(), broken()):
+            done.append(answer)
+    assert len(done) == 7
+
+
+def test_nothing_to_do() -> None:
+    assert list(engine.run(scripted_agent(), [])) == []
+
+
+def test_what_is_given_is_not_asked_for(queries: Queries) -> None:
+    agent = scripted_agent()
+    assert agent.thinker is not None
+    given = Given(target=Target("t", "o", "the given part"))
+    answers = list(engine.run(agent, queries(5), given=lambda query: given))
+    assert {a.target.object_part for _, a in answers if a.target} == {"the given part"}
+    assert agent.thinker.vlm.requests == []  # type: ignore[attr-defined]
+
+
+def test_a_budget_of_money_is_kept_and_the_samples_in_flight_end(queries: Queries) -> None:
+    def priced(request: ChatRequest) -> ChatAnswer:
+        return ChatAnswer(output("the handle"), usage=Usage(cost=0.01))
+
+    vlm = ScriptedVLM(priced, concurrency=8)
+    agent = A4Agent(None, Thinker(vlm), Spotter(ScriptedDetector(), ScriptedSegmenter()))
+    done: list[Affordance] = []
+    with pytest.raises(BudgetExceeded, match=r"max_cost = 0.305"):
+        for _, affordance in engine.run(agent, queries(1000), settings=EngineSettings(max_cost=0.305)):
+            done.append(affordance)
+    assert len(done) == len(vlm.requests) == 30
+    assert {a.status for a in done} == {"ok"}
+
+
+def test_a_budget_of_time_is_kept(queries: Queries) -> None:
+    agent = A4Agent(None, None, Spotter(ScriptedDetector(seconds=0.02), ScriptedSegmenter()))
+    done: list[Affordance] = []
+    with pytest.raises(BudgetExceeded, match=r"max_seconds = 0.5"):
+        for _, affordance in engine.run(agent, queries(1000), settings=EngineSettings(max_seconds=0.5)):
+            done.append(affordance)
+    assert 1 <= len(done) <= 30
+    assert {a.status for a in done} == {"ok"}
+
+
+def test_a_call_that_hangs_fails_its_sample_and_not_the_run(queries: Queries) -> None:
+    release = threading.Event()
+
+    def hanging(request: DetectRequest) -> Any:
+        if int(np.asarray(request.image)[0, 0, 0]) in (2, 9):
+            release.wait(30)
+        return [[0, 0, 4, 4]]
+
+    detector = ScriptedDetector(hanging)
+    agent = A4Agent(None, None, Spotter(detector, ScriptedSegmenter()))
+    settings = EngineSettings(max_sample_seconds=0.15)
+    answers = {q.id: a for q, a in engine.run(agent, queries(20), settings=settings)}
+    release.set()
+    assert sorted(name for name, a in answers.items() if a.status == "error") == ["q2", "q9"]
+    assert "max_sample_seconds" in (answers["q2"].error or "")
+    assert sum(a.status == "ok" for a in answers.values()) == 18
+
+
+def test_waiting_for_a_turn_is_not_held_against_a_sample(queries: Queries) -> None:
+    agent = A4Agent(None, None, Spotter(ScriptedDetector(seconds=0.03), ScriptedSegmenter()))
+    settings = EngineSettings(max_sample_seconds=0.3, in_flight=30)
+    answers = list(engine.run(agent, queries(30), settings=settings))  # the last one waits for 0.9 s
+    assert {a.status for _, a in answers} == {"ok"}
+
+
+def test_predict_many_takes_pairs_and_settings() -> None:
+    pairs = [(np.full((8, 8, 3), n, np.uint8), f"use {n}") for n in range(9)]
+    answers = list(scripted_agent().predict_many(pairs, ordered=True, in_flight=2))
+    assert [a.id for a in answers] == [str(n) for n in range(9)]
+    assert [a.instruction for a in answers] == [f"use {n}" for n in range(9)]
+
+
+INTERRUPTED = """
+    import sys, time
+    import numpy as np
+    from a4agent import engine
+    from a4agent.affordance import Query
+    from a4agent.agent import A4Agent
+    from a4agent.spotter import Spotter
+    from a4agent.testing import ScriptedDetector, ScriptedSegmenter
+
+    agent = A4Agent(None, None, Spotter(ScriptedDetector(seconds=SECONDS, concurrency=2), ScriptedSegmenter()))
+    queries = (Query(str(n), np.zeros((8, 8, 3), np.uint8), "open") for n in range(100_000))
+    try:
+        for query, affordance in engine.run(agent, queries, settings=engine.EngineSettings(in_flight=4)):
+            print(affordance.status, flush=True)
+    except KeyboardInterrupt:
+        print("interrupted", len(agent.spotter.detector.requests), flush=True)
+        sys.exit(130)
+"""
+
+
+def _start(seconds: float) -> subprocess.Popen[str]:
+    code = textwrap.dedent(INTERRUPTED).replace("SECONDS", str(seconds))
+    return subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
+    )
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_the_first_interrupt_lets_what_is_in_flight_end() -> None:
+    process = _start(0.05)
+    assert process.stdout is not None
+    first = process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    *done, last = [first, *process.stdout.read().splitlines()]
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130, err
+    assert last == f"interrupted {len(done)}"  # every sample that was begun has been given
+    assert {line.strip() for line in done} == {"ok"}
+    assert "interrupt again to leave at once" in err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_the_second_interrupt_leaves_at_once() -> None:
+    process = _start(3.0)
+    assert process.stdout is not None
+    process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.4)
+    started = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert time.monotonic() - started < 2.0
+
+
+def test_batches_form_while_the_expert_is_busy(queries: Queries) -> None:
+    detector = ScriptedDetector(seconds=0.01, max_batch=8)
+    agent = A4Agent(None, None, Spotter(detector, ScriptedSegmenter()))
+    answers = list(engine.run(agent, queries(64)))
+    assert len(answers) == len(detector.requests) == 64
+    assert max(detector.batches) == 8
+    assert len(detector.batches) <= 20
+
+
+def test_no_expert_is_asked_for_more_than_it_can_take(queries: Queries) -> None:
+    lock, now, most = threading.Lock(), [0], [0]
+
+    def watched(request: DetectRequest) -> Detection:
+        with lock:
+            now[0] += 1
+            most[0] = max(most[0], now[0])
+        time.sleep(0.002)
+        with lock:
+            now[0] -= 1
+        return Detection(np.array([[0, 0, 4, 4]], np.float32))
+
+    agent = A4Agent(None, None, Spotter(ScriptedDetector(watched, concurrency=3), ScriptedSegmenter()))
+    list(engine.run(agent, queries(100), settings=EngineSettings(in_flight=32)))
+    assert most[0] == 3
