@@ -25,7 +25,9 @@ import numpy as np
 from a4agent.affordance import Status
 from a4agent.errors import DataError, UnknownNameError
 
-MEASURES = ("giou", "ciou", "p50", "p50_95")
+MEASURES = {"giou": "gIoU", "ciou": "cIoU", "p50": "P@50", "p50_95": "P@50:95"}
+"""The measures of a `Scores`, and how people write them."""
+
 THRESHOLDS = np.arange(50, 100, 5)  # percent
 RESAMPLES = 2000
 

@@ -35,7 +35,7 @@ WORDS = ("object_name", "object_part", "affordance", "category", "answer")
 
 
 def create(path: str | Path) -> Benchmark:
-    """Open a folder, or the `.jsonl` or `.json` file in it.
+    """Your own pictures, from a folder or the `.jsonl` or `.json` file in it.
 
     Raises:
         DataError: no index in the folder, a row that is not as described above, or an id used twice.

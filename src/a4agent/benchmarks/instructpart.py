@@ -10,8 +10,8 @@ Official scorer: none that is a file of its own; the field scores it by gIoU and
      "..."]}]}
 
 Instruction 0 is a person's, 1 a rewrite of it, 2 to 5 are templates, some of which name the part and so give the
-answer away: they are for those who want a referring task, by `instruction=2` and up. Pictures are in `test/images`, masks in
-`test/masks/{base}-{object}-{part}.png` with "_" for spaces.
+answer away: they are for those who want a referring task, by `instruction=2` and up. Pictures are in
+`test/images`, masks in `test/masks/{base}-{object}-{part}.png` with "_" for spaces.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ INSTRUCTIONS = 6
 
 
 def create(path: str | Path, *, instruction: int = 0) -> Benchmark:
-    """InstructPart's test split, asked with one of its six instructions.
+    """InstructPart's test split, asked with one of its six instructions (600).
 
     Raises:
         DataError: it is not at `path`, or not as described above.

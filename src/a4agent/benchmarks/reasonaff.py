@@ -33,7 +33,7 @@ SOURCE = "the data set ReasonAff of Affordance-R1 on Hugging Face, written with 
 
 
 def create(path: str | Path) -> Benchmark:
-    """ReasonAff's test split; needs the extra `bench`.
+    """ReasonAff's test split (600); needs the extra `bench`.
 
     Raises:
         DataError: it is not at `path`, or has other columns.

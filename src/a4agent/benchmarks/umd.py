@@ -69,7 +69,7 @@ class _Row(NamedTuple):
 
 
 def create(path: str | Path, *, rule: str = "a4") -> Benchmark:
-    """UMD under one of its two published rules.
+    """UMD Part Affordance, under one of its two published rules (1,922).
 
     Raises:
         DataError: there is no `tools` folder with frames at `path`.

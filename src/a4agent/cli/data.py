@@ -1,0 +1,129 @@
+"""`a4 data`: is a dataset all there, what does it ask, and make one where there is none."""
+
+from __future__ import annotations
+
+import json
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from a4agent.cli import common
+from a4agent.cli.benchmark_data import NameArgument, OptionsOption, RuleOption, opened
+from a4agent.errors import ConfigError, InputError
+
+if TYPE_CHECKING:
+    from a4agent.benchmarks.base import Benchmark
+    from a4agent.benchmarks.check import Check
+
+app = typer.Typer(no_args_is_help=True, help="Check benchmark data, list what it asks, or make some.")
+if find_spec("a4agent.cli.data_make"):
+    app.command("make")(import_module("a4agent.cli.data_make").make)
+PathArgument = Annotated[Path, typer.Argument(metavar="PATH", help="The folder of the dataset.")]
+SHOWN = 10
+
+
+@app.command("list")
+def list_benchmarks(as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False) -> None:
+    """List the benchmarks that can be read."""
+    from a4agent.benchmarks.registry import factory_of, names, options_of
+
+    found: list[dict[str, Any]] = []
+    for name in names():
+        try:
+            factory = factory_of(name)
+        except ConfigError:  # a reader that cannot be loaded: a warning has named it
+            continue
+        about = (factory.__doc__ or "").strip().partition("\n")[0]
+        found.append({"benchmark": name, "options": options_of(factory), "about": about})
+    if as_json:
+        print(json.dumps(found, indent=1))
+        return
+    for row in found:
+        options = "".join(f"  --option {name}={value}" for name, value in row["options"].items())
+        print(f"{row['benchmark']:<20} {row['about']}{options}")
+
+
+@app.command()
+def check(
+    benchmark: NameArgument,
+    path: PathArgument,
+    rule: RuleOption = None,
+    option: OptionsOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Open every picture and mask of a dataset: what is missing, broken or empty, and where to get it."""
+    from rich.progress import Progress
+
+    from a4agent.benchmarks.check import check as check_all
+
+    data = opened(benchmark, path, rule, option)
+    with Progress(console=common.messages, transient=True) as progress:
+        task = progress.add_task("reading", total=len(data))
+        found = check_all(data, lambda _: progress.advance(task))
+    if as_json:
+        facts = {"licence": data.licence, "source": data.source, "fingerprint": data.fingerprint()}
+        print(json.dumps({**facts, **found.to_dict()}, indent=1))
+    else:
+        _show(data, found)
+    if not found.ok:
+        raise typer.Exit(common.SOME_FAILED)
+
+
+@app.command()
+def queries(
+    benchmark: NameArgument,
+    path: PathArgument,
+    images: Annotated[Path | None, typer.Option(help="Write pictures that lie inside a table to this folder.")] = None,
+    rule: RuleOption = None,
+    option: OptionsOption = None,
+) -> None:
+    """Print what a dataset asks, one JSON line a sample (id, image, instruction): for systems with code of their own.
+
+    Their masks, one `<id>.png` each, are scored by `a4 score`.
+    """
+    for sample in opened(benchmark, path, rule, option):
+        query = sample.query
+        image = query.image if isinstance(query.image, Path) else _written(query.image, query.id, images)
+        print(json.dumps({"id": query.id, "image": str(image), "instruction": query.instruction}, ensure_ascii=False))
+
+
+def _written(image: Any, identity: str, folder: Path | None) -> Path:
+    from a4agent.images import load_image
+
+    if folder is None:
+        raise InputError("this dataset keeps its pictures inside a table: give a folder for them with --images FOLDER")
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{identity}.png"
+    load_image(image).save(path)
+    return path
+
+
+def _show(data: Benchmark, found: Check) -> None:
+    expected = f" of {found.expected} published" if found.expected else ""
+    options = "".join(f", {name} {value}" for name, value in data.options.items())
+    lines = [
+        ("benchmark", f"{data.name}{options}"),
+        ("samples", f"{found.rows}{expected}, {found.readable} readable"),
+        ("missing", f"{found.count('image missing')} images, {found.count('mask missing')} masks"),
+        ("broken", f"{found.count('image broken')} images, {found.count('mask broken')} masks"),
+        ("refused", f"{found.count('refused')} samples whose files lie outside the dataset or have no picture"),
+        ("empty truth", f"{found.empty_truths} masks"),
+        ("other size", f"{found.other_size} masks of another size than their image"),
+        ("categories", ", ".join(f"{name or 'none'} {count}" for name, count in found.categories.items())),
+        ("licence", data.licence),
+        ("source", data.source),
+        ("fingerprint", data.digest),
+    ]
+    for name, value in lines:
+        print(f"{name:<12} {value}")
+    for problem in found.problems[:SHOWN]:
+        print(f"  {problem.id}: {problem.kind}: {problem.message}")
+    if len(found.problems) > SHOWN:
+        print(f"  and {len(found.problems) - SHOWN} more; --json lists all")
+    if found.ok:
+        print("all there")
+    else:
+        print(f"not complete; get what is missing from: {data.source}")

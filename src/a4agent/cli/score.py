@@ -1,0 +1,144 @@
+"""`a4 score`: masks that another system's own code wrote, scored like everything else."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from a4agent.cli import common
+from a4agent.cli.benchmark_data import DataOption, NameArgument, OptionsOption, RuleOption, opened
+
+if TYPE_CHECKING:
+    from a4agent.benchmarks.base import Benchmark
+    from a4agent.benchmarks.predictions import Predictions
+    from a4agent.metrics import Row, Scores
+
+SHOWN = 5
+
+
+def score(
+    benchmark: NameArgument,
+    predictions: Annotated[
+        Path, typer.Option(help="A folder with one <id>.png a sample, or a JSON file of COCO RLE by id.")
+    ],
+    data: DataOption,
+    protocol: Annotated[str | None, typer.Option(help="strict, affordance-r1, affordance-r1-umd or ragnet.")] = None,
+    rule: RuleOption = None,
+    option: OptionsOption = None,
+    by_category: Annotated[bool, typer.Option("--by-category", help="Also score each category.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Score masks that another system wrote; a sample without a readable one has failed.
+
+    `a4 data queries` prints the ids, pictures and instructions to give to that system.
+    """
+    from rich.progress import Progress
+
+    from a4agent import metrics
+    from a4agent.benchmarks.predictions import Predictions
+
+    opened_data = opened(benchmark, data, rule, option)
+    protocol = protocol or opened_data.protocol
+    metrics.protocol_of(protocol)
+    masks = Predictions(predictions)
+    scored: list[_Scored] = []
+    with Progress(console=common.messages, transient=True) as progress:
+        task = progress.add_task("scoring", total=len(opened_data))
+        for result in _each(opened_data, masks):
+            scored.append(result)
+            progress.advance(task)
+    _report_problems(scored, masks)
+    rows = [result.row for result in scored]
+    whole = metrics.score(rows, protocol)
+    groups = metrics.score_by(rows, [result.category for result in scored], protocol) if by_category else {}
+    if as_json:
+        print(json.dumps(_as_dict(opened_data, whole, groups), indent=1))
+    else:
+        _show(opened_data, whole, groups)
+    if whole.n_failed:
+        raise typer.Exit(common.SOME_FAILED)
+
+
+@dataclass(frozen=True)
+class _Scored:
+    id: str
+    category: str
+    row: Row
+    problem: str
+
+
+def _each(data: Benchmark, masks: Predictions) -> Iterator[_Scored]:
+    from a4agent.errors import DataError
+    from a4agent.metrics import measure
+
+    for sample in data:
+        truth = sample.truth.mask()
+        try:
+            prediction, problem = masks.mask(sample.id), "missing"
+        except DataError as error:
+            prediction, problem = None, str(error)
+        yield _Scored(
+            sample.id,
+            sample.truth.category or "none",
+            measure(prediction, truth),
+            "" if prediction is not None else problem,
+        )
+
+
+def _report_problems(scored: list[_Scored], masks: Predictions) -> None:
+    """Say what was not found or not asked for; both are what a wrong file name looks like.
+
+    Raises:
+        DataError: no prediction is for any sample.
+    """
+    from a4agent.errors import DataError
+
+    strays = masks.strays(result.id for result in scored)
+    failed = [result for result in scored if result.problem]
+    if len(failed) == len(scored) and all(result.problem == "missing" for result in failed):
+        wanted = ", ".join(f"{result.id}.png" for result in scored[:3])
+        raise DataError(
+            f"no prediction in {str(masks.path)!r} belongs to a sample: they are named by id, such as {wanted}"
+            + (f"; found {', '.join(strays[:3])}" if strays else "")
+        )
+    missing = [result.id for result in failed if result.problem == "missing"]
+    if missing:
+        common.warn(f"{len(missing)} samples have no prediction and count as failed: {_some(missing)}")
+    for result in [result for result in failed if result.problem != "missing"][:SHOWN]:
+        common.warn(result.problem)
+    if strays:
+        common.warn(f"{len(strays)} predictions are for no sample: {_some(strays)}")
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")
+
+
+def _as_dict(data: Benchmark, whole: Scores, groups: dict[str, Scores]) -> dict[str, Any]:
+    categories = {"categories": {name: scores.to_dict() for name, scores in groups.items()}} if groups else {}
+    return {"benchmark": data.fingerprint(), "scores": whole.to_dict(), **categories}
+
+
+def _show(data: Benchmark, whole: Scores, groups: dict[str, Scores]) -> None:
+    from a4agent.metrics import MEASURES
+
+    print(f"{data.name}, protocol {whole.protocol}, {data.licence}")
+    print(
+        f"n {whole.n}  scored {whole.n_scored}  failed {whole.n_failed}  empty truth {whole.n_empty_truth}  "
+        f"empty prediction {whole.n_empty_prediction}  resized {whole.n_resized}"
+    )
+    for name, label in MEASURES.items():
+        low, high = whole.intervals[name]
+        print(f"{label:<8} {_percent(getattr(whole, name))}   95% {_percent(low)} to {_percent(high)}")
+    for group, scores in sorted(groups.items()):
+        values = "  ".join(f"{label} {_percent(getattr(scores, name))}" for name, label in MEASURES.items())
+        print(f"  {group:<16} n {scores.n:<5} {values}")
+
+
+def _percent(value: float) -> str:
+    return "    -" if value != value else f"{100 * value:5.2f}"
