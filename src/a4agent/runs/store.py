@@ -233,8 +233,8 @@ class RunWriter:
     def add(self, row: Mapping[str, Any]) -> Record:
         """Append a line and wait until it is on the disk."""
         record = Record({key: row[key] for key in SCORED if key in row})
-        line = json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode() + b"\n"
-        view = memoryview(line)
+        line = json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+        view = memoryview(line.encode("utf-8", "surrogatepass") + b"\n")
         while view:
             view = view[os.write(self._file, view) :]
         os.fsync(self._file)

@@ -1,0 +1,217 @@
+"""Score an agent on a benchmark, into a run folder.
+
+    work = Bench(benchmark, settings, selection=Selection(limit=100))
+    with A4Agent.from_settings(settings) as agent:
+        run = work.run(agent, on_sample=print)
+
+The agent sees queries only. What is true is read here, when the answer has come.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from a4agent import engine, metrics, rle
+from a4agent.affordance import Affordance, Given, Query, Status
+from a4agent.agent import A4Agent
+from a4agent.benchmarks.base import Benchmark, Sample
+from a4agent.config import Settings
+from a4agent.errors import DataError, InputError, UserError
+from a4agent.runs.manifest import Manifest, prompt_hashes, settings_identity
+from a4agent.runs.oracle import Oracle, given_of
+from a4agent.runs.store import Record, Run, RunWriter, read_run
+
+RUNS = Path("runs")
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which samples of a benchmark: the first `limit`, after a shuffle with the seed `shuffle` if there is one."""
+
+    limit: int | None = None
+    shuffle: int | None = None
+
+    def indices(self, size: int) -> list[int]:
+        """Positions in the benchmark, in the order to be asked in; the same on every machine."""
+        chosen = list(range(size))
+        if self.shuffle is not None:
+            chosen.sort(key=lambda i: hashlib.sha256(f"{self.shuffle} {i}".encode()).digest())
+        return chosen[: self.limit]
+
+
+@dataclass
+class Progress:
+    """How far a run is. `scored` of `planned` samples have a record, `failed` of them are invalid or errors.
+
+    `unscored` maps the ids of samples whose truth could not be read to the reason; they have no record.
+    """
+
+    planned: int
+    scored: int = 0
+    failed: int = 0
+    cost: float = 0.0
+    asked: int = 0
+    unscored: dict[str, str] = field(default_factory=dict[str, str])
+    stats: engine.Stats = field(default_factory=engine.Stats)
+    _iou: float = 0.0
+    _counted: int = 0
+
+    @property
+    def giou(self) -> float:
+        """Of the samples so far; NaN before the first."""
+        return self._iou / self._counted if self._counted else float("nan")
+
+    def count(self, row: metrics.Row, protocol: str, sign: int = 1) -> None:
+        """Count a row in, or one that is replaced out."""
+        self.scored += sign
+        self.failed += sign * row.failed
+        value = metrics.iou(row, protocol)
+        if value is not None:
+            self._iou += sign * value
+            self._counted += sign
+
+
+@dataclass(frozen=True)
+class Bench:
+    """One configuration on one benchmark. `retry` names statuses that are asked for again."""
+
+    benchmark: Benchmark
+    settings: Settings
+    selection: Selection = Selection()
+    protocol: str | None = None
+    oracle: Oracle | None = None
+    label: str = ""
+    out: Path | None = None
+    retry: tuple[Status, ...] = ()
+
+    def manifest(self, agent: A4Agent) -> Manifest:
+        """What decides the answers of this run."""
+        return Manifest(
+            identity={
+                "benchmark": self.benchmark.name,
+                "data": self.benchmark.fingerprint(),
+                "selection": {
+                    "limit": self.selection.limit,
+                    "shuffle": self.selection.shuffle,
+                    "samples": len(self.selection.indices(len(self.benchmark))),
+                },
+                "protocol": metrics.protocol_of(self.protocol or self.benchmark.protocol).name,
+                "oracle": self.oracle,
+                "settings": settings_identity(self.settings),
+                "experts": [dict(expert.fingerprint()) for expert in agent.experts()],
+                "prompts": prompt_hashes(self.settings),
+            },
+            about={
+                "profile": self.settings.name,
+                "label": self.label,
+                "data": str(self.benchmark.root),
+                "licence": self.benchmark.licence,
+            },
+        )
+
+    def folder(self, manifest: Manifest) -> Path:
+        """Where the run goes: its name holds benchmark, profile and configuration unless a folder was named."""
+        oracle = f"-oracle-{self.oracle}" if self.oracle else ""
+        return self.out or RUNS / f"{self.benchmark.name}-{self.settings.name}{oracle}-{manifest.hash}"
+
+    def run(
+        self,
+        agent: A4Agent,
+        on_start: Callable[[Path, Progress], None] | None = None,
+        on_sample: Callable[[Record | None, Progress], None] | None = None,
+    ) -> Run:
+        """Ask for what the run folder does not have yet; returns the run as it stands then.
+
+        The first call tells the folder and what was there, each further one a sample (None: its truth could
+        not be read).
+
+        Raises:
+            ConfigError: the folder belongs to another configuration.
+            BudgetExceeded, UserError, ProviderError: see `engine.run`; what was answered is kept.
+            KeyboardInterrupt: Ctrl-C; what was in flight is kept.
+        """
+        manifest = self.manifest(agent)
+        protocol = str(manifest.identity["protocol"])
+        with RunWriter(self.folder(manifest), manifest, self.retry) as writer:
+            progress = Progress(int(manifest.identity["selection"]["samples"]))
+            for record in writer.records.values():
+                progress.count(record.scored, protocol)
+            if on_start:
+                on_start(writer.folder, progress)
+            for sample, affordance in self._answers(agent, writer, progress.stats):
+                try:
+                    row = row_of(sample, affordance, writer)
+                except UserError as error:
+                    progress.unscored[sample.id] = str(error)
+                    record = None
+                else:
+                    if sample.id in writer.records:
+                        progress.count(writer.records[sample.id].scored, protocol, -1)
+                    record = writer.add(row)
+                    progress.count(record.scored, protocol)
+                progress.asked += 1
+                progress.cost += affordance.trace.cost
+                if on_sample:
+                    on_sample(record, progress)
+        return read_run(writer.folder)
+
+    def _answers(self, agent: A4Agent, writer: RunWriter, stats: engine.Stats) -> Iterator[tuple[Sample, Affordance]]:
+        """The samples that are wanted with their answers, as they are ready."""
+        in_flight: dict[str, Sample] = {}
+
+        def queries() -> Iterator[Query]:
+            for index in self.selection.indices(len(self.benchmark)):
+                sample = self.benchmark[index]
+                if sample.id in in_flight:
+                    raise DataError(f"two samples of {self.benchmark.name!r} have the same id {sample.id!r}")
+                if writer.wants(sample.id):
+                    in_flight[sample.id] = sample
+                    yield sample.query
+
+        def given(query: Query) -> Given | None:
+            try:
+                return given_of(in_flight[query.id], self.oracle) if self.oracle else None
+            except InputError:
+                return None  # the agent will find the same wrong with the picture, and it is this sample's answer
+
+        answers = engine.run(
+            agent,
+            queries(),
+            settings=self.settings.engine,
+            given=given if self.oracle else None,
+            stats=stats,
+        )
+        for query, affordance in answers:
+            yield in_flight.pop(query.id), affordance
+
+
+def row_of(sample: Sample, affordance: Affordance, writer: RunWriter) -> dict[str, Any]:
+    """The line of samples.jsonl: the answer, what it scored, and the names of its pictures, which are written.
+
+    Raises:
+        DataError: the truth cannot be read.
+    """
+    truth = sample.truth.mask()
+    row = metrics.measure(affordance.mask, truth, affordance.status)
+    imagined = affordance.imagination.image if affordance.imagination else None
+    pictures = {"original": affordance.image, "imagination": imagined}
+    answer = replace(affordance, id=sample.id).to_dict()
+    for region in answer["regions"]:
+        region["score"] = region["score"] if region["score"] is not None and isfinite(region["score"]) else None
+    return {
+        **answer,
+        "intersection": row.intersection,
+        "union": row.union,
+        "iou": metrics.iou(row),
+        "truth_pixels": row.truth_pixels,
+        "prediction_pixels": row.prediction_pixels,
+        "resized": row.resized,
+        "truth": rle.encode(truth),
+        "category": sample.truth.category,
+        "pictures": {kind: writer.add_picture(image) for kind, image in pictures.items() if image is not None},
+    }

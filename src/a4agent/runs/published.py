@@ -1,0 +1,78 @@
+"""The numbers others published, as data (published.toml), to stand beside ours.
+
+table = published.table("umd")
+table.rows["Affordance-R1"]                # (49.85, 42.24, 53.35, 34.08), percent
+table.columns[0]                           # Column(name="gIoU", benchmark="umd", measure="giou")
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+
+from a4agent.data_files import read_toml
+from a4agent.errors import UnknownNameError
+
+SOURCE = "arXiv 2512.14442"
+OURS = "A4-Agent"
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: `measure` is a field of `metrics.Scores`."""
+
+    name: str
+    benchmark: str
+    measure: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """One table of the paper, in percent."""
+
+    key: str
+    number: int
+    title: str
+    decimals: int
+    columns: tuple[Column, ...]
+    rows: Mapping[str, tuple[float, ...]]
+    notes: tuple[str, ...]
+
+    @property
+    def benchmarks(self) -> tuple[str, ...]:
+        """The benchmarks that its columns need, each once."""
+        return tuple(dict.fromkeys(column.benchmark for column in self.columns))
+
+
+@cache
+def tables() -> dict[str, Table]:
+    """All tables by key, in the paper's order."""
+    return {
+        key: Table(
+            key=key,
+            number=data["number"],
+            title=data["title"],
+            decimals=data["decimals"],
+            columns=tuple(Column(**column) for column in data["columns"]),
+            rows={name: tuple(values) for name, values in data["rows"].items()},
+            notes=tuple(data["notes"]),
+        )
+        for key, data in read_toml("a4agent.runs", "published.toml").items()
+    }
+
+
+def table(key: str) -> Table:
+    """One table.
+
+    Raises:
+        UnknownNameError: there is none of that key; the message suggests the nearest.
+    """
+    if key not in tables():
+        raise UnknownNameError.of("table", key, tables())
+    return tables()[key]
+
+
+def of_benchmark(benchmark: str) -> Table | None:
+    """The table that compares systems on this benchmark, None if the paper has none."""
+    return next((table for table in tables().values() if benchmark in table.benchmarks), None)

@@ -1,0 +1,221 @@
+"""A run as one HTML file: opens from a disk without a network, and stays fluent with thousands of samples.
+
+The page's frame (scores, published numbers, categories, stages) is rendered here; the samples travel as
+JSON and are drawn by page/page.js, those in sight only. Each picture is a text element of its own that
+the browser decodes when a card wants it. Masks are brought to their picture's size and stay run-length
+encoded.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from importlib.resources import files
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from a4agent import metrics, rle
+from a4agent.errors import DataError, require
+from a4agent.runs import published, scores
+from a4agent.runs.store import STATUSES, Record, Run, write_atomically
+
+MEASURES = {"giou": "gIoU", "ciou": "cIoU", "p50": "P@50", "p50_95": "P@50:95"}
+LONGEST_ANSWER = 4000
+
+
+def write_report(run: Run, path: Path | None = None) -> Path:
+    """Write the report, into the run folder as report.html unless told otherwise; returns its path.
+
+    Raises:
+        DataError: the run has no samples yet.
+        MissingExtraError: jinja2 is not installed.
+    """
+    if not run.records:
+        raise DataError(f"{str(run.folder)!r} has no samples yet; start it again with `a4 bench`")
+    path = path or run.folder / "report.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, render(run).encode("utf-8", "replace"))
+    return path
+
+
+def render(run: Run) -> str:
+    """The page as text."""
+    jinja2 = require("jinja2", extra="bench")
+    side = picture_side(len(run.records))
+    pictures: dict[str, str] = {}
+    samples = [_sample(run, record, side, pictures) for record in run.records.values()]
+    page = files("a4agent.runs") / "page"
+    environment: Any = jinja2.Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+    )
+    environment.filters["percent"] = _percent
+    frame = environment.from_string((page / "page.html").read_text(encoding="utf-8"))
+    found = scores.score(run)
+    return frame.render(
+        css=(page / "page.css").read_text(encoding="utf-8"),
+        js=(page / "page.js").read_text(encoding="utf-8"),
+        run=run,
+        identity=run.manifest.identity,
+        about=run.manifest.about,
+        sessions=run.manifest.sessions,
+        manifest=json.dumps(run.manifest.identity, indent=2, ensure_ascii=False),
+        scores=found,
+        protocol=metrics.protocol_of(found.protocol),
+        measures=[(label, getattr(found, name), found.intervals.get(name)) for name, label in MEASURES.items()],
+        published=_published(run, found),
+        categories=[(name, group) for name, group in scores.by_category(run).items()],
+        statuses=[(status, sum(r.status == status for r in run.records.values())) for status in STATUSES],
+        outcomes=_outcomes(samples),
+        histogram=_histogram(samples),
+        errors=Counter(record.row["error"].partition(":")[0] for record in run.records.values() if record.row["error"]),
+        stages=_stages(run.records.values()),
+        cost=sum(record.cost for record in run.records.values()),
+        samples=samples,
+        pictures=pictures,
+    )
+
+
+def picture_side(samples: int) -> int:
+    """Pixels of the longer side of the embedded pictures: the file stays in the tens of megabytes."""
+    return 640 if samples <= 200 else 480 if samples <= 800 else 320
+
+
+def _sample(run: Run, record: Record, side: int, pictures: dict[str, str]) -> dict[str, Any]:
+    """One sample for page.js; its pictures go to `pictures`, by name, each once."""
+    row = record.row
+    width, height = row["size_wh"]
+    scale = min(1.0, side / max(width, height, 1))
+    view = (max(1, round(width * scale)), max(1, round(height * scale)))
+    names = {kind: _embed(run.folder / name, side, pictures) for kind, name in record.pictures.items()}
+    target = row["target"] or {}
+    return {
+        "id": record.id,
+        "status": record.status,
+        "outcome": scores.outcome(record),
+        "iou": round(record.iou, 4),
+        "category": record.category,
+        "instruction": row["instruction"],
+        "part": target.get("object_part", ""),
+        "thinking": target.get("thinking", ""),
+        "prompt": (row["imagination"] or {}).get("prompt", ""),
+        "size": [width, height],
+        "view": view,
+        "boxes": row["boxes_xyxy"],
+        "points": row["points_xy"],
+        "mask": small_mask(row["mask"], view),
+        "truth": small_mask(record.truth, view),
+        "original": names.get("original"),
+        "imagination": names.get("imagination"),
+        "error": row["error"] or "",
+        "seconds": round(record.seconds, 3),
+        "cost": record.cost,
+        "pixels": [row["intersection"], row.get("prediction_pixels"), row.get("truth_pixels")],
+        "steps": [_step(step) for step in row["trace"]],
+    }
+
+
+def _step(step: Mapping[str, Any]) -> dict[str, Any]:
+    kept = ("stage", "role", "expert", "seconds", "cached", "attempts", "tokens_in", "tokens_out", "cost", "error")
+    answer = step.get("answer") or ""
+    shown = answer if len(answer) <= LONGEST_ANSWER else f"{answer[:LONGEST_ANSWER]}… (all of it is in samples.jsonl)"
+    return {key: step.get(key) for key in kept} | {"answer": shown}
+
+
+def small_mask(mask: Mapping[str, Any], view: tuple[int, int]) -> list[int]:
+    """A COCO RLE brought to `view` (width, height), as plain run lengths down the columns, background first."""
+    pixels = metrics.nearest_neighbour(rle.decode(mask), (view[1], view[0])).ravel(order="F")
+    if not pixels.size:
+        return []
+    edges = np.flatnonzero(np.diff(pixels)) + 1
+    runs = np.diff(np.concatenate([[0], edges, [pixels.size]])).tolist()
+    return [0, *runs] if pixels[0] else runs
+
+
+def _embed(path: Path, side: int, pictures: dict[str, str]) -> str | None:
+    """The name of a picture in the page; None if its file is gone or broken (the rest is still worth reading)."""
+    from PIL import Image
+
+    name = path.stem
+    if name not in pictures:
+        try:
+            with Image.open(path) as image:
+                image.draft("RGB", (side, side))
+                image.thumbnail((side, side))
+                buffer = io.BytesIO()
+                image.convert("RGB").save(buffer, "JPEG", quality=80, optimize=True)
+        except OSError:
+            return None
+        pictures[name] = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return name
+
+
+def _published(run: Run, found: metrics.Scores) -> dict[str, Any] | None:
+    """The paper's table of this benchmark as rows (name, gIoU, ours, interval), best first; None if it has none."""
+    benchmark = str(run.manifest.identity["benchmark"])
+    table = published.of_benchmark(benchmark)
+    if table is None:
+        return None
+    columns = [i for i, column in enumerate(table.columns) if column.benchmark == benchmark]
+    rows: list[dict[str, Any]] = [
+        {"name": name, "values": [values[i] / 100 for i in columns], "ours": False, "interval": None}
+        for name, values in table.rows.items()
+    ]
+    ours = [getattr(found, table.columns[i].measure) for i in columns]
+    interval = found.intervals.get("giou")
+    rows.append({"name": run.manifest.label, "values": ours, "ours": True, "interval": interval})
+    rows.sort(key=lambda row: -row["values"][0] if row["values"][0] == row["values"][0] else 1)
+    return {
+        "title": f"{published.SOURCE}, table {table.number}",
+        "columns": [MEASURES[table.columns[i].measure] for i in columns],
+        "rows": rows,
+        "notes": table.notes,
+    }
+
+
+def _outcomes(samples: Iterable[Mapping[str, Any]]) -> list[tuple[str, int]]:
+    counts = Counter(sample["outcome"] for sample in samples)
+    return [(name, counts[name]) for name in scores.OUTCOMES if counts[name]]
+
+
+def _histogram(samples: Iterable[Mapping[str, Any]]) -> list[int]:
+    """How many samples have an IoU in each tenth; 1.0 belongs to the last."""
+    counts = Counter(min(9, int(sample["iou"] * 10)) for sample in samples)
+    return [counts[i] for i in range(10)]
+
+
+def _stages(records: Iterable[Record]) -> list[dict[str, Any]]:
+    """What each expert was asked and what it took, in the order of the stages."""
+    groups: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
+    for record in records:
+        for step in record.row["trace"]:
+            groups.setdefault((step["stage"], step["role"], step["expert"]), []).append(step)
+    order = {"dreamer": 0, "thinker": 1, "spotter": 2}
+    table: list[dict[str, Any]] = []
+    for (stage, role, expert), steps in sorted(groups.items(), key=lambda item: order.get(item[0][0], 3)):
+        asked = [step["seconds"] for step in steps if not step.get("cached")]
+        known = [step["cost"] for step in steps if step.get("cost") is not None and not step.get("cached")]
+        table.append(
+            {
+                "stage": stage,
+                "role": role,
+                "expert": expert,
+                "calls": len(steps),
+                "cached": sum(bool(step.get("cached")) for step in steps),
+                "failed": sum(bool(step.get("error")) for step in steps),
+                "median": median(asked) if asked else None,
+                "total": sum(asked),
+                "tokens": sum((step.get("tokens_in") or 0) + (step.get("tokens_out") or 0) for step in steps),
+                "cost": sum(known) if known else None,
+            }
+        )
+    return table
+
+
+def _percent(value: float | None, decimals: int = 1) -> str:
+    return "–" if value is None or value != value else f"{100 * value:.{decimals}f}"
