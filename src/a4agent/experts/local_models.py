@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -262,36 +262,52 @@ class LocalExpert(ExpertBase):
         self,
         requests: Sequence[RequestT],
         run: Callable[[Sequence[RequestT]], list[AnswerT] | list[AnswerT | A4Error]],
+        alike: Callable[[RequestT], Hashable] = lambda request: None,
     ) -> list[AnswerT | A4Error]:
-        """`run` over batches of at most `max_batch`; one that runs out of memory is halved, as are all later ones."""
+        """`run` over batches of at most `max_batch` requests that are `alike`, answers in the order of the requests.
+
+        A batch that runs out of memory is halved, and so are all later ones.
+        """
         torch: Any = require("torch", extra="local")
-        answers: list[AnswerT | A4Error] = []
+        groups: dict[Hashable, list[int]] = {}
+        for k, request in enumerate(requests):
+            groups.setdefault(alike(request), []).append(k)
+        answers: dict[int, AnswerT | A4Error] = {}
         with self._lock, torch.inference_mode():
             self.load()
-            while len(answers) < len(requests):
-                batch = requests[len(answers) : len(answers) + self._fitting]
-                reason = ""
-                try:
-                    answers += run(batch)
-                except A4Error:
-                    raise
-                except Exception as error:
-                    if not is_out_of_memory(error):
-                        raise ProviderError(f"{self.id} failed: {type(error).__name__}: {error}") from error
-                    reason = str(error).splitlines()[0]
-                if not reason:
-                    continue
-                release_memory()  # out here, where the error and with it the tensors of its traceback are gone
-                if len(batch) > 1:
-                    self._fitting = len(batch) // 2
-                else:
-                    answers.append(
-                        OutOfMemory(
-                            f"{self.id} ran out of memory on one request ({reason}): use a smaller image "
-                            "(max_pixels), quantisation = '4bit', or a device with more memory"
-                        )
-                    )
-        return answers
+            for waiting in groups.values():
+                while waiting:
+                    batch = waiting[: self._fitting]
+                    found = self._try([requests[k] for k in batch], run)
+                    if found is not None:
+                        answers.update(zip(batch, found, strict=True))
+                        waiting = waiting[len(batch) :]
+        return [answers[k] for k in range(len(requests))]
+
+    def _try(
+        self,
+        batch: Sequence[RequestT],
+        run: Callable[[Sequence[RequestT]], list[AnswerT] | list[AnswerT | A4Error]],
+    ) -> Sequence[AnswerT | A4Error] | None:
+        """The answers, or None if memory ran out and a smaller batch should be tried."""
+        try:
+            return run(batch)
+        except A4Error:
+            raise
+        except Exception as error:
+            if not is_out_of_memory(error):
+                raise ProviderError(f"{self.id} failed: {type(error).__name__}: {error}") from error
+            reason = str(error).partition("\n")[0]
+        release_memory()  # out here, where the error and with it the tensors of its traceback are gone
+        if len(batch) > 1:
+            self._fitting = len(batch) // 2
+            return None
+        return [
+            OutOfMemory(
+                f"{self.id} ran out of memory on one request ({reason}): use a smaller image, quantisation = '4bit', "
+                "or a device with more memory"
+            )
+        ]
 
 
 class Stopwatch:

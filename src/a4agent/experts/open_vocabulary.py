@@ -62,7 +62,8 @@ class OpenVocabularyDetector(LocalExpert):
             ResourceError: the weights do not fit.
             ProviderError: the model failed.
         """
-        return self._in_batches(requests, self._answer)
+        # Images of other sizes would be padded, and padding changes the boxes.
+        return self._in_batches(requests, self._answer, alike=lambda request: request.image.size)
 
     def inputs_of(self, requests: Sequence[DetectRequest]) -> Any:
         """The processor's batch for these requests."""

@@ -174,7 +174,7 @@ class QwenImageEdit(LocalExpert):
         except Exception as error:
             if is_out_of_memory(error):
                 raise ResourceError(f"{str(folder)!r} does not fit: {error}; set offload = 'model'") from error
-            raise ModelFilesError(f"{str(folder)!r} cannot be loaded by diffusers: {error}") from error
+            raise ModelFilesError(f"{str(folder)!r} cannot be loaded by diffusers: {str(error)[:300]}") from error
         self._pipeline = pipeline
 
     def _unload(self) -> None:

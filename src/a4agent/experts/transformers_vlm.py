@@ -86,12 +86,7 @@ class TransformersVlm(LocalExpert):
             ResourceError: the weights do not fit.
             ProviderError: the model failed.
         """
-        answers: dict[int, ChatAnswer | A4Error] = {}
-        for with_images in (True, False):  # the two cannot share a batch
-            chosen = [k for k, request in enumerate(requests) if bool(request.images) == with_images]
-            if chosen:
-                answers.update(zip(chosen, self._in_batches([requests[k] for k in chosen], self._answer), strict=True))
-        return [answers[k] for k in range(len(requests))]
+        return self._in_batches(requests, self._answer, alike=lambda request: bool(request.images))
 
     def _load(self) -> None:
         self._model = ChatModel.load(self.checkpoint, self.placement)
