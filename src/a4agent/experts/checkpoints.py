@@ -13,18 +13,15 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
-from a4agent.errors import CredentialError, ModelFilesError, require
-
-PATTERNS = ["*.json", "*.safetensors", "*.txt", "*.jinja", "*.model"]
-"""The files of a repository that loading needs; no pickled weights, no code."""
+from a4agent.errors import ModelFilesError
+from a4agent.experts import hub
 
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
-_PROBE_SECONDS = 10.0
 _BLOCK, _BLOCKS = 4096, 16
 
 
@@ -57,7 +54,7 @@ def find_checkpoint(model: str, *, kinds: Sequence[str] = (), revision: str | No
     elif path.exists():
         raise ModelFilesError(f"{model!r} is a file; give the folder that holds config.json and the weights")
     elif _NAME.fullmatch(model):
-        folder = _from_cache(model, revision) or _download(model, revision)
+        folder = hub.cached(model, revision) or hub.fetch(model, revision)
         commit = folder.name
     else:
         raise ModelFilesError(f"there is no folder {model!r}, and the name of a model is written 'OWNER/NAME'")
@@ -100,60 +97,7 @@ def find_file(name: str, *, revision: str | None = None) -> Path:
     model, file = "/".join(name.split("/")[:2]), "/".join(name.split("/")[2:])
     if not _NAME.fullmatch(model) or not file:
         raise ModelFilesError(f"there is no file {name!r}; a file on the hub is written 'OWNER/NAME/PATH'")
-    hub: Any = require("huggingface_hub", extra="local")
-    cached = hub.try_to_load_from_cache(model, file, revision=revision)
-    if isinstance(cached, str):
-        return Path(cached)
-    return _from_hub(model, revision, lambda: hub.hf_hub_download(model, file, revision=revision))
-
-
-def _from_cache(model: str, revision: str | None) -> Path | None:
-    hub: Any = require("huggingface_hub", extra="local")
-    errors: Any = require("huggingface_hub.errors", extra="local")
-    try:
-        return Path(hub.snapshot_download(model, revision=revision, allow_patterns=PATTERNS, local_files_only=True))
-    except errors.LocalEntryNotFoundError:
-        return None
-
-
-def _download(model: str, revision: str | None) -> Path:
-    hub: Any = require("huggingface_hub", extra="local")
-    return _from_hub(model, revision, lambda: hub.snapshot_download(model, revision=revision, allow_patterns=PATTERNS))
-
-
-def _from_hub(model: str, revision: str | None, download: Callable[[], str]) -> Path:
-    hub: Any = require("huggingface_hub", extra="local")
-    errors: Any = require("huggingface_hub.errors", extra="local")
-    pull = f"`a4 models pull {model}` where there is a network (or give a folder instead of the name)"
-    if hub.constants.HF_HUB_OFFLINE:
-        raise ModelFilesError(
-            f"{model!r} is not on this machine, and HF_HUB_OFFLINE forbids to fetch it: unset it, or run {pull}"
-        )
-    try:
-        # A small question first: an unreachable hub is known in seconds, before any work starts.
-        hub.HfApi().model_info(model, revision=revision, timeout=_PROBE_SECONDS)
-        return Path(download())
-    except errors.GatedRepoError as error:
-        raise CredentialError(
-            f"{model!r} is gated: accept its licence on the model's page, then `hf auth login` (or set HF_TOKEN)"
-        ) from error
-    except errors.RepositoryNotFoundError as error:
-        raise ModelFilesError(
-            f"there is neither a folder nor a model on the hub called {model!r} (a private one needs `hf auth login`)"
-        ) from error
-    except errors.RevisionNotFoundError as error:
-        raise ModelFilesError(f"{model!r} has no revision {revision!r}") from error
-    except errors.EntryNotFoundError as error:
-        raise ModelFilesError(f"{model!r} lacks a file: {_first_line(error)}") from error
-    except Exception as error:  # the hub's client changes its HTTP library, and with it the classes, between versions
-        raise ModelFilesError(
-            f"{model!r} is not on this machine, and the hub could not be reached ({_first_line(error)}): run {pull}; "
-            "HF_HUB_OFFLINE=1 stops all attempts"
-        ) from error
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
+    return hub.cached(model, revision, file) or hub.fetch(model, revision, file)
 
 
 def _kind(model: str, folder: Path) -> str:

@@ -1,0 +1,132 @@
+"""The hub of models and its cache on this disk: look, ask, fetch. The one place that opens a connection to it.
+
+    cached("facebook/sam2.1-hiera-tiny")    -> the snapshot's folder, or None; no network
+    reach("facebook/sam3")                  asks whether it is there and open to this account, within seconds
+    fetch("facebook/sam2.1-hiera-tiny")     -> the folder, downloaded; what a broken attempt left is used again
+
+Every failure names the model and the command that puts it right. HF_HOME, HF_ENDPOINT, HF_TOKEN and
+HF_HUB_OFFLINE mean what they always mean.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from a4agent.errors import CredentialError, ModelFilesError, ResourceError, require
+
+PATTERNS = ["*.json", "*.safetensors", "*.txt", "*.jinja", "*.model"]
+"""The files of a repository that loading needs; no pickled weights, no code."""
+
+_PROBE_SECONDS = 10.0
+
+
+def cached(name: str, revision: str | None = None, file: str = "") -> Path | None:
+    """The complete snapshot of OWNER/NAME on this disk, or one file of it; None if it is not there. No network."""
+    hub, errors = _hub()
+    if file:
+        found = hub.try_to_load_from_cache(name, file, revision=revision)
+        return Path(found) if isinstance(found, str) else None
+    try:
+        return Path(hub.snapshot_download(name, revision=revision, allow_patterns=PATTERNS, local_files_only=True))
+    except errors.LocalEntryNotFoundError:
+        return None
+
+
+def reach(name: str, revision: str | None = None) -> None:
+    """Ask the hub for OWNER/NAME; a small question, so that what cannot work is known before any work starts.
+
+    Raises:
+        ModelFilesError: it cannot be reached, or has no such model.
+        CredentialError: the model is gated and this account has no access.
+    """
+    hub, _ = _hub()
+    with _explained(name, revision):
+        info = hub.HfApi().model_info(name, revision=revision, timeout=_PROBE_SECONDS)
+        if info.gated:
+            hub.HfApi().auth_check(name)
+
+
+def fetch(name: str, revision: str | None = None, file: str = "") -> Path:
+    """Download OWNER/NAME, or one file of it, into the cache; returns the snapshot's folder or the file.
+
+    Raises:
+        ModelFilesError: the hub cannot be reached, has no such model, revision or file, or broke off.
+        CredentialError: the model is gated and this account has no access.
+    """
+    hub, _ = _hub()
+    reach(name, revision)
+    with _explained(name, revision):
+        if file:
+            return Path(hub.hf_hub_download(name, file, revision=revision))
+        return Path(hub.snapshot_download(name, revision=revision, allow_patterns=PATTERNS))
+
+
+def download_bytes(name: str, revision: str | None = None, file: str = "") -> int:
+    """How many bytes `fetch` would download now.
+
+    Raises:
+        ModelFilesError, CredentialError: as `fetch`.
+    """
+    hub, _ = _hub()
+    reach(name, revision)
+    with _explained(name, revision):
+        if file:
+            plans = [hub.hf_hub_download(name, file, revision=revision, dry_run=True)]
+        else:
+            plans = hub.snapshot_download(name, revision=revision, allow_patterns=PATTERNS, dry_run=True)
+    return sum(int(plan.file_size) for plan in plans if plan.will_download)
+
+
+def cache_folder() -> Path:
+    """Where models are kept."""
+    constants: Any = require("huggingface_hub.constants", extra="local")
+    return Path(constants.HF_HUB_CACHE)
+
+
+def _hub() -> tuple[Any, Any]:
+    return require("huggingface_hub", extra="local"), require("huggingface_hub.errors", extra="local")
+
+
+@contextmanager
+def _explained(name: str, revision: str | None) -> Generator[None, None, None]:
+    hub, errors = _hub()
+    pull = f"`a4 models pull {name}` where there is a network (or give a folder instead of the name)"
+    if hub.constants.HF_HUB_OFFLINE:
+        raise ModelFilesError(
+            f"{name!r} is not on this machine, and HF_HUB_OFFLINE forbids to fetch it: unset it, or run {pull}"
+        )
+    try:
+        yield
+    except errors.GatedRepoError as error:
+        raise CredentialError(
+            f"{name!r} is gated: accept its licence on the model's page, then `hf auth login` (or set HF_TOKEN)"
+        ) from error
+    except errors.RepositoryNotFoundError as error:
+        raise ModelFilesError(
+            f"there is neither a folder nor a model on the hub called {name!r} (a private one needs `hf auth login`)"
+        ) from error
+    except errors.RevisionNotFoundError as error:
+        raise ModelFilesError(f"{name!r} has no revision {revision!r}") from error
+    except (errors.LocalEntryNotFoundError, ConnectionError) as error:
+        raise _unreachable(name, pull, error) from error
+    except errors.EntryNotFoundError as error:
+        raise ModelFilesError(f"{name!r} lacks a file: {_first_line(error)}") from error
+    except Exception as error:  # the hub's client changes its HTTP library, and with it the classes, between versions
+        if getattr(error, "errno", None) == errno.ENOSPC:
+            raise ResourceError(f"the disk of {str(cache_folder())!r} is full; HF_HOME moves the cache") from error
+        raise _unreachable(name, pull, error) from error
+
+
+def _unreachable(name: str, pull: str, error: Exception) -> ModelFilesError:
+    return ModelFilesError(
+        f"{name!r} is not on this machine, and the hub could not be reached ({_first_line(error)}): run {pull}; "
+        "HF_HUB_OFFLINE=1 stops all attempts"
+    )
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
