@@ -1,0 +1,65 @@
+"""Colour as the offline experts compare it: Lab with its lightness turned down, so that shading counts less than hue.
+
+    to_lab(rgb (H, W, 3) uint8) -> (H, W, 3) float32
+    dominant(colours (n, 3)) -> (3,), the colour most of them have
+    unlike(lab, colours) -> (H, W) distance to the nearest of some background colours, lenient to shadows
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from a4agent.errors import require
+
+WEIGHTS = np.float32([0.7, 1.0, 1.0])
+SAME = 14.0
+"""Two colours nearer than this are shades of one material."""
+
+
+def to_lab(rgb: np.ndarray, blur: float = 0.0) -> np.ndarray:
+    """(H, W, 3) uint8 -> (H, W, 3) float32, smoothed by a Gaussian of `blur` pixels first."""
+    cv2 = require("cv2", extra="offline")
+    if blur:
+        rgb = cv2.GaussianBlur(rgb, (0, 0), blur)
+    return cv2.cvtColor(rgb.astype(np.float32) / 255.0, cv2.COLOR_RGB2LAB) * WEIGHTS
+
+
+def dominant(colours: np.ndarray) -> np.ndarray:
+    """The mean (3,) of the largest cluster of `colours` (n, 3), n > 0."""
+    cells = ((colours + 128.0) / np.float32([7, 6, 6])).astype(np.int64)
+    keys = (cells[:, 0] * 64 + cells[:, 1]) * 64 + cells[:, 2]
+    _, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    mean = colours[inverse.ravel() == counts.argmax()].mean(0)
+    for _ in range(3):
+        near = np.linalg.norm(colours - mean, axis=1) < SAME
+        if near.any():
+            mean = colours[near].mean(0)
+    return mean
+
+
+def palette(colours: np.ndarray, most: int = 3, share: float = 0.15) -> list[np.ndarray]:
+    """Up to `most` dominant colours, each held by at least `share` of `colours` (n, 3)."""
+    found: list[np.ndarray] = []
+    left = colours
+    while len(found) < most and len(left) >= max(30, share * len(colours)):
+        found.append(dominant(left))
+        left = left[np.linalg.norm(left - found[-1], axis=1) >= SAME]
+    return found
+
+
+def unlike(lab: np.ndarray, background: Sequence[np.ndarray]) -> np.ndarray:
+    """Distance (H, W) of every pixel to the nearest background colour; infinite where there is none.
+
+    A pixel that is a little darker than the background, with its colour dimmed as much, is likely to be
+    the background in shadow: half of that difference counts.
+    """
+    distance = np.full(lab.shape[:2], np.inf, np.float32)
+    for colour in background:
+        darker = lab[..., 0] - colour[0]
+        dimmed = np.clip(lab[..., 0] / max(float(colour[0]), 1.0), 0.4, 1.0)
+        lightness = np.where((darker < 0) & (darker > -25), 0.5 * darker, darker)
+        expected = np.where((darker < 0)[..., None], colour[1:] * dimmed[..., None], colour[1:])
+        distance = np.minimum(distance, np.sqrt(lightness**2 + ((lab[..., 1:] - expected) ** 2).sum(-1)))
+    return distance

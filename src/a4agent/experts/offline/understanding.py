@@ -1,0 +1,244 @@
+"""From an instruction to the part to act on, by rules over the knowledge base.
+
+    understand("drink from the mug without burning your hand")
+        -> Decision(object_name="mug", part_name="handle", because="...")
+    understand("which part goes into the screw to tighten it?") -> the shaft of the screwdriver
+    understand("translate this letter")                         -> Decision(None, None, because="I do not know ...")
+
+The order of the rules is the order of the evidence: a part that is named, an object that is named, an
+object that is reached for to do such a thing. Nothing is looked at: the picture plays no role here.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from a4agent.experts.offline.knowledge import Knowledge, Mention, Part, Thing, knowledge, stem, words
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The object and its part, or None for both; `because` is the reason in words; `action` what will be done."""
+
+    object_name: str | None
+    part_name: str | None
+    because: str
+    action: str = "use"
+
+    @property
+    def phrase(self) -> str:
+        """ "the handle of the mug", or "" when there is no answer."""
+        return f"the {self.part_name} of the {self.object_name}" if self.part_name else ""
+
+
+_NOT_MEANT = re.compile(r"\b(?:without|instead of|rather than|but not|not by|and not|don't|do not|avoid(?:ing)?)\b[^,;.?!]*")
+_SAFELY = re.compile(r"\b(?:burn|hurt|cut(?:ting)?|injur|scald|prick)\w*\b")
+_HOLDING = re.compile(
+    r"\b(?:where|which|what|how)\b[^?.!]*\b(?:hold|grip|grasp|grab|touch|pick|take|carry|lift|hand|fingers?)\b"
+    r"|\b(?:hand|fingers?|palm|grip|grasp|hold)\b[^?.!]*\b(?:go|goes|belongs?|rests?|wraps?)\b"
+)
+_PURPOSE = re.compile(r"\b(?:to|so that|so i can|in order to|while|when|before|and then)\b")
+_BEFORE_VERBS = {"to", "can", "i", "you", "and", "please", "could", "will", "would", "should", "must", "let's", "then"}
+_ENGLISH = set(
+    "the a an i it my me you your to of with in on for from into and is are this that what which where how can should "
+    "part want need would like some at by use do does put up off out get without we them please".split()
+)
+_FOREIGN = set(
+    "le la les un une des du et est pour avec sur dans der die das den dem ein eine einen und ist mit zum zur auf el los "
+    "las una unos para con por del en il lo gli uno che di per o os um uma com em na no ao de het een van met voor op i w "
+    "na z do się jest og att och med som på det en ett ja on".split()
+) - _ENGLISH
+
+
+def understand(instruction: str) -> Decision:
+    """Decide, or say why not. The same instruction always gets the same answer."""
+    if not _is_english(instruction):
+        return Decision(None, None, "I only know English, and this instruction does not look like it.")
+    know = knowledge()
+    text = instruction.lower().replace("’", "'")
+    meant = _NOT_MEANT.sub(" ", text)
+    aside = " ".join(_NOT_MEANT.findall(text))
+    said = words(meant)
+    objects = [o for o in know.find_objects(said) if not _is_verb(said, o, know)]
+    parts = know.find_parts(said)
+
+    named = _named_part(said, objects, parts, know)
+    if named:
+        return named
+    verbs = _verbs(said, objects, know)
+    actions = [action for verb in verbs for action in verb.value]
+    if not actions and not objects:
+        return _wished(said, know) or _unknown(instruction)
+    holding = bool(_HOLDING.search(meant)) or ("without" in aside and bool(_SAFELY.search(aside)))
+
+    if objects:
+        return _with_objects(said, objects, verbs, holding, know, instruction)
+    tool = _reached_for(said, verbs, know)
+    if tool is None:
+        return _wished(said, know) or _unknown(instruction)
+    thing, action = tool
+    part = (thing.part_for("grasp") if holding else None) or thing.part_for(action)
+    if part is None:
+        return _unknown(instruction)
+    because = f"A {thing.name} is what one reaches for to {action}; its {part.name} "
+    return Decision(thing.name, part.name, because + ("is where it is held." if holding else "does that."), action)
+
+
+def _named_part(
+    said: list[str], objects: list[Mention[Thing]], parts: list[Mention[str]], know: Knowledge
+) -> Decision | None:
+    """ "the handle of the pan", "the pan's handle", "by its handle", "the blade"."""
+    for mention in parts:
+        at = [o for o in objects if o.start < mention.end and mention.start < o.end]
+        if at:
+            continue  # "mug" is no part, and the "paper cup" is no cup of something
+        before = said[max(0, mention.start - 2) : mention.start]
+        after = said[mention.end : mention.end + 2]
+        of = [o for o in objects if o.start >= mention.end and o.start - mention.end <= 3 and "of" in said[mention.end : o.start]]
+        on = [o for o in objects if o.start >= mention.end and o.start - mention.end <= 3
+              and {"on", "at", "in"} & set(said[mention.end : o.start])]  # fmt: skip
+        owner = [o for o in objects if o.end == mention.start]
+        marked = bool({"the", "its", "by", "their"} & set(before)) or bool(owner)
+        if of or on or owner:
+            thing = (of or owner or on)[0].value
+        elif marked and objects and "to" not in after:
+            thing = next((o.value for o in objects if o.value.part_named(mention.value)), None)
+            if thing is None or _is_verb(said, mention, know):
+                continue
+        elif marked and not objects and not _is_verb(said, mention, know) and _stands_alone(mention.value, know):
+            tool = _reached_for(said, _verbs(said, objects, know), know)
+            thing = tool[0] if tool and tool[0].part_named(mention.value) else None
+            if thing is None and "of" in after:
+                continue  # of something this knowledge base has never heard of: still a part of it
+            if thing is None:
+                spoken = " ".join(said[mention.start : mention.end])
+                return Decision("object", spoken, f"The instruction itself names the {spoken}.")
+        else:
+            continue
+        part = thing.part_named(mention.value)
+        if part is None and not of and not owner:
+            continue
+        spoken = " ".join(said[mention.start : mention.end])
+        return Decision(thing.name, spoken, f"The instruction itself names the {spoken} of the {thing.name}.")
+    unknown = re.search(r"\bthe ([a-z]+(?: [a-z]+)?) of (?:the|this|a|my|that) ([a-z-]+(?: [a-z-]+)?)\s*[.?!]*$", " ".join(said))
+    if unknown and not objects and stem(unknown[1]) in know.part_index:
+        return Decision(unknown[2], unknown[1], f"The instruction itself names the {unknown[1]} of the {unknown[2]}.")
+    return None
+
+
+def _stands_alone(name: str, know: Knowledge) -> bool:
+    """Whether a word is first of all the name of a part ("blade"), and not also of something that is worked on ("nut")."""
+    first_names = {part.name for thing in know.objects.values() for part in thing.parts}
+    return name in first_names and stem(name) not in know.theme_index
+
+
+def _is_verb(said: list[str], mention: Mention[Any], know: Knowledge) -> bool:
+    """Whether words that may name an object or a part are a verb here: "scoop sugar", "to handle", "can press"."""
+    before = said[mention.start - 1] if mention.start else "to"
+    last = mention.end == len(said)
+    return not last and before in _BEFORE_VERBS and stem(said[mention.start : mention.end]) in know.action_index
+
+
+def _verbs(said: list[str], objects: list[Mention[Thing]], know: Knowledge) -> list[Mention[tuple[str, ...]]]:
+    """The verbs, those inside an object's name ("measuring cup") and nouns left out; the wish comes before its purpose."""
+    found: list[Mention[tuple[str, ...]]] = []
+    for mention in know.find_actions(said):
+        if any(o.start <= mention.start < o.end for o in objects) and mention.start > 0:
+            continue
+        if mention.start and said[mention.start - 1] in {"the", "a", "an", "my", "this", "some", "its", "of"}:
+            continue
+        found.append(mention)
+    return found
+
+
+def _with_objects(
+    said: list[str],
+    objects: list[Mention[Thing]],
+    verbs: list[Mention[tuple[str, ...]]],
+    holding: bool,
+    know: Knowledge,
+    instruction: str,
+) -> Decision:
+    """One of the named objects, or the tool that is used on it."""
+    tools = [o for o in objects if o.start and {"with", "using", "use", "from", "via"} & set(said[max(0, o.start - 3) : o.start])]
+    rest = [o for o in objects if o not in tools]
+    ordered = [mention.value for mention in tools + rest]
+    if holding:
+        part = ordered[0].part_for("grasp")
+        if part:
+            return _because(ordered[0], part, "grasp", f"The {ordered[0].name} is held by its {part.name}.")
+    tool = _reached_for(said, verbs, know) if not tools else None
+    for verb in verbs:
+        if verb.value == ("grasp",) and verb is not verbs[-1] and _carries_on(said, verb, verbs):
+            continue
+        if tool and tool[1] in verb.value and not _does(ordered[0], verb.value):
+            part = tool[0].part_for(tool[1])
+            if part:
+                return _because(tool[0], part, tool[1], f"To {tool[1]} that, one takes a {tool[0].name}.")
+        for thing in ordered:
+            for action in verb.value:
+                part = thing.part_for(action)
+                if part:
+                    return _because(thing, part, action, f"To {action}, the {part.name} of the {thing.name} is used.")
+    if not verbs:
+        thing = ordered[0]
+        if len(said) - (objects[0].end - objects[0].start) <= 2:  # "the mug": nothing to do was said
+            part = thing.part_for("grasp") or thing.parts[0]
+            return _because(thing, part, "grasp", f"Nothing is asked of the {thing.name} but to be taken.")
+    return _unknown(instruction)
+
+
+def _carries_on(said: list[str], verb: Mention[tuple[str, ...]], verbs: list[Mention[tuple[str, ...]]]) -> bool:
+    """Whether "take", "get" or "put" is only the way to what follows: "get the knife and cut bread"."""
+    following = [v for v in verbs if v.start >= verb.end]
+    return bool(following) and "and" in said[verb.end : following[0].start]
+
+
+def _does(thing: Thing, actions: tuple[str, ...]) -> bool:
+    return any(thing.part_for(action) for action in actions)
+
+
+def _reached_for(
+    said: list[str], verbs: list[Mention[tuple[str, ...]]], know: Knowledge
+) -> tuple[Thing, str] | None:
+    """The tool for what is to be done: by verb and theme, then by the verb alone."""
+    themes = know.find_themes(said)
+    for verb in verbs:
+        for theme in themes:
+            for action, name in theme.value:
+                if action in verb.value:
+                    return know.objects[name], action
+    for verb in verbs:
+        for action in verb.value:
+            for name in know.default_index.get(action, ()):
+                return know.objects[name], action
+    return None
+
+
+def _wished(said: list[str], know: Knowledge) -> Decision | None:
+    """An instruction that only describes what is wrong: "the soup is cold"."""
+    text = " ".join(said)
+    for wish in know.wishes:
+        part = know.objects[wish.object].part_for(wish.action)
+        if part and re.search(wish.says, text):
+            return Decision(wish.object, part.name, f"What would help is a {wish.object}.", wish.action)
+    return None
+
+
+def _because(thing: Thing, part: Part, action: str, why: str) -> Decision:
+    return Decision(thing.name, part.name, why, action)
+
+
+def _unknown(instruction: str) -> Decision:
+    return Decision(None, None, f"I do not know which object and part are meant by {instruction.strip()!r}.")
+
+
+def _is_english(instruction: str) -> bool:
+    letters = [c for c in instruction if c.isalpha()]
+    if not letters or sum(c.isascii() for c in letters) < 0.8 * len(letters):
+        return False
+    listed = words(instruction)
+    foreign = sum(word in _FOREIGN for word in listed)
+    return foreign <= sum(word in _ENGLISH for word in listed)
