@@ -25,7 +25,7 @@ class Keys:
         self._hashes: dict[int, tuple[weakref.ref[Image], str]] = {}
 
     def of(self, expert: Expert, request: Request) -> str:
-        """The key of what `expert` answers to `request`. Callbacks are no part of it."""
+        """The key of what `expert` answers to `request`. Callbacks and fields that are None are no part of it."""
         asked = {"expert": expert.fingerprint(), "verb": request.verb, "request": request}
         text = json.dumps(self._plain(asked), sort_keys=True, ensure_ascii=False, separators=(",", ":"))
         return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
@@ -44,7 +44,7 @@ class Keys:
             return {"array": digest, "dtype": str(value.dtype), "shape": list(value.shape)}
         if is_dataclass(value):
             held = {field.name: getattr(value, field.name) for field in fields(value)}
-            return {name: self._plain(field) for name, field in held.items() if not callable(field)}
+            return {name: self._plain(item) for name, item in held.items() if item is not None and not callable(item)}
         if isinstance(value, Mapping):
             return {str(name): self._plain(item) for name, item in cast("Mapping[Any, Any]", value).items()}
         if isinstance(value, Sequence) and not isinstance(value, bytes):

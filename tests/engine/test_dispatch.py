@@ -1,0 +1,224 @@
+"""Batches fill, shrink when memory runs out, and do not spoil each other; images are prepared in idle time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import pytest
+from PIL import Image
+
+from a4agent.engine.dispatch import PREPARED_AHEAD, Dispatcher, Job
+from a4agent.engine.retry import Breaker
+from a4agent.engine.stats import ExpertStats
+from a4agent.errors import A4Error, OutOfMemory, ProviderError, ProviderTimeout, ProviderUnavailable, RequestRejected
+from a4agent.experts.base import Answer, DetectRequest, Expert, ExpertBase, Segmentation, SegmentRequest
+from a4agent.testing import ScriptedDetector
+
+PHOTO = Image.new("RGB", (8, 6))
+Make = Callable[..., Dispatcher]
+
+
+@pytest.fixture
+def make() -> Iterator[Make]:
+    made: list[Dispatcher] = []
+
+    def build(expert: Expert, batch_wait: float = 0.05) -> Dispatcher:
+        made.append(Dispatcher(expert, Breaker("x", 0.01, 5.0), ExpertStats("detector", "x"), batch_wait))
+        return made[-1]
+
+    yield build
+    for dispatcher in made:
+        dispatcher.close()
+
+
+def ask(dispatcher: Dispatcher, *phrases: str) -> list[Answer | Exception]:
+    jobs = [Job(DetectRequest(PHOTO, phrase)) for phrase in phrases]
+    for job in jobs:
+        dispatcher.submit(job)
+    return [job.wait() for job in jobs]
+
+
+def test_requests_that_come_together_go_together(make: Make) -> None:
+    detector = ScriptedDetector(max_batch=4)
+    ask(make(detector), *"abcdefghij")
+    assert detector.batches == [4, 4, 2]
+    assert [request.phrase for request in detector.requests] == list("abcdefghij")
+
+
+def test_a_full_batch_does_not_wait(make: Make) -> None:
+    started = time.monotonic()
+    ask(make(ScriptedDetector(max_batch=4), batch_wait=20.0), *"abcd")
+    assert time.monotonic() - started < 10.0
+
+
+def test_a_batch_that_is_not_full_waits_only_so_long(make: Make) -> None:
+    detector = ScriptedDetector(max_batch=4)
+    started = time.monotonic()
+    ask(make(detector, batch_wait=0.1), "a")
+    assert 0.09 < time.monotonic() - started < 5.0
+
+
+class Greedy(ScriptedDetector):
+    """Runs out of memory on more than `fits` requests at once."""
+
+    def __init__(self, fits: int, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.fits = fits
+        self.sent: list[int] = []
+
+    def detect(self, requests: Sequence[DetectRequest]) -> Any:
+        self.sent.append(len(requests))
+        if len(requests) > self.fits:
+            raise OutOfMemory(f"{len(requests)} do not fit")
+        return super().detect(requests)
+
+
+def test_out_of_memory_halves_the_batch_and_remembers(make: Make) -> None:
+    detector = Greedy(fits=2, max_batch=8)
+    dispatcher = make(detector)
+    answers = ask(dispatcher, *"abcdefgh")
+    assert not [answer for answer in answers if isinstance(answer, Exception)]
+    assert detector.batches == [2, 2, 2, 2]
+    assert detector.sent[:3] == [8, 4, 2]
+    detector.sent.clear()
+    ask(dispatcher, *"abcdefgh")
+    assert detector.sent == [2, 2, 2, 2]
+
+
+def test_out_of_memory_of_a_single_request_is_its_answer(make: Make) -> None:
+    answers = ask(make(Greedy(fits=0, max_batch=2)), *"ab")
+    assert all(isinstance(answer, OutOfMemory) for answer in answers)
+
+
+def test_a_request_that_breaks_its_batch_fails_alone(make: Make) -> None:
+    def answer(request: DetectRequest) -> Any:
+        if request.phrase == "c":
+            raise ZeroDivisionError("a bug")
+        return RequestRejected("no") if request.phrase == "d" else [[0, 0, 4, 4]]
+
+    answers = ask(make(ScriptedDetector(answer, max_batch=8)), *"abcde")
+    assert [type(a).__name__ for a in answers] == [
+        "Detection",
+        "Detection",
+        "ZeroDivisionError",
+        "RequestRejected",
+        "Detection",
+    ]
+
+
+def test_an_expert_that_is_down_is_not_asked_again_for_each_of_the_batch(make: Make) -> None:
+    class Down(ScriptedDetector):
+        calls = 0
+
+        def detect(self, requests: Sequence[DetectRequest]) -> Any:
+            self.calls += 1
+            raise ProviderUnavailable("down")
+
+    detector = Down(max_batch=8)
+    answers = ask(make(detector), *"abcdefgh")
+    assert all(isinstance(answer, ProviderUnavailable) for answer in answers)
+    assert len({id(answer) for answer in answers}) == 8  # each to be raised in a thread of its own
+    assert detector.calls == 1
+
+
+def test_an_expert_that_miscounts_is_an_error(make: Make) -> None:
+    class Short(ScriptedDetector):
+        def detect(self, requests: Sequence[DetectRequest]) -> Any:
+            return super().detect(requests)[:-1]
+
+    (answer,) = ask(make(Short()), "a")
+    assert isinstance(answer, ProviderError)
+    assert "0 answers to 1 request" in str(answer)
+
+
+class SlowSegmenter(ExpertBase):
+    """Tells in which order it prepared (image numbers) and segmented ("s")."""
+
+    def __init__(self) -> None:
+        super().__init__("slow:segmenter")
+        self.done: list[Any] = []
+        self.gate = threading.Event()
+
+    def prepare(self, images: Sequence[Image.Image]) -> None:
+        self.done += [image.size[0] for image in images]
+
+    def segment(self, requests: Sequence[SegmentRequest]) -> list[Segmentation | A4Error]:
+        self.gate.wait(10)
+        self.done += ["s"] * len(requests)
+        return [RequestRejected("it only tells the order") for _ in requests]
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 5.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def test_preparing_waits_for_those_that_segment_and_keeps_within_bounds(make: Make) -> None:
+    segmenter = SlowSegmenter()
+    dispatcher = make(segmenter)
+    jobs = [Job(SegmentRequest(PHOTO, ())) for _ in range(3)]
+    for job in jobs:
+        dispatcher.submit(job)
+    images = [Image.new("RGB", (number, 4)) for number in range(1, 11)]
+    for image in images:
+        dispatcher.prepare(image)
+    segmenter.gate.set()
+    until(lambda: len(segmenter.done) == 3 + PREPARED_AHEAD)
+    time.sleep(0.02)
+    assert segmenter.done == ["s", "s", "s", 1, 2, 3, 4]
+    dispatcher.forget(images[6])  # its sample ended without a segmentation: never prepared
+    dispatcher.forget(images[0])  # segmented: room for the next
+    until(lambda: len(segmenter.done) == 3 + PREPARED_AHEAD + 1)
+    assert segmenter.done[3:] == [1, 2, 3, 4, 5]
+    for image in images[1:6]:
+        dispatcher.forget(image)
+    until(lambda: len(segmenter.done) == 3 + 8)
+    assert segmenter.done[3:] == [1, 2, 3, 4, 5, 8, 9, 10]
+
+
+def test_an_overdue_call_is_given_up_and_its_slot_used_again_only_later(make: Make) -> None:
+    release = threading.Event()
+
+    def answer(request: DetectRequest) -> Any:
+        if request.phrase == "hang":
+            release.wait(10)
+        return [[0, 0, 4, 4]]
+
+    detector = ScriptedDetector(answer)
+    dispatcher = make(detector)
+    hanging, next_one = Job(DetectRequest(PHOTO, "hang"), 0.1), Job(DetectRequest(PHOTO, "fine"), 0.1)
+    dispatcher.submit(hanging)
+    dispatcher.submit(next_one)
+    time.sleep(0.13)
+    dispatcher.abandon_overdue(0.1)
+    outcome = hanging.wait()
+    assert isinstance(outcome, ProviderTimeout)
+    assert hanging.seconds >= 0.1
+    assert not next_one.settled  # the call may only be slow: nothing runs beside it yet
+    time.sleep(0.1)
+    dispatcher.abandon_overdue(0.1)
+    assert not isinstance(next_one.wait(), Exception)
+    release.set()
+
+
+def test_closing_fails_what_is_queued(make: Make) -> None:
+    gate = threading.Event()
+
+    def answer(request: DetectRequest) -> Any:
+        gate.wait(10)
+        return [[0, 0, 4, 4]]
+
+    dispatcher = make(ScriptedDetector(answer))
+    first, second = Job(DetectRequest(PHOTO, "a")), Job(DetectRequest(PHOTO, "b"))
+    dispatcher.submit(first)
+    dispatcher.submit(second)
+    until(lambda: len(dispatcher.expert.requests) == 1)  # type: ignore[attr-defined]
+    dispatcher.close()
+    assert isinstance(second.wait(), ProviderError)
+    gate.set()
+    assert not isinstance(first.wait(), Exception)

@@ -1,0 +1,116 @@
+"""Waits grow and differ; an expert that is down is probed by one call at a time, and given up in the end."""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import suppress
+
+import pytest
+
+from a4agent.engine.retry import FAILURES_TO_OPEN, LONGEST_WAIT, Breaker, backoff, fresh
+from a4agent.errors import CredentialError, ProviderError, ProviderUnavailable, RateLimited
+
+
+def test_waits_double_are_bounded_and_differ() -> None:
+    error = ProviderUnavailable("down")
+    for failures in range(1, 12):
+        waits = [backoff(failures, 0.5, error) for _ in range(50)]
+        highest = min(0.5 * 2 ** (failures - 1), LONGEST_WAIT)
+        assert highest / 2 <= min(waits) <= max(waits) <= highest
+        assert len(set(waits)) > 10
+
+
+def test_the_provider_s_own_wait_is_kept() -> None:
+    assert backoff(1, 0.01, RateLimited("slow down", retry_after=7.0)) == 7.0
+    assert backoff(1, 100.0, RateLimited("slow down", retry_after=7.0)) > 7.0
+
+
+def test_a_fresh_error_keeps_its_class_and_fields_but_not_its_traceback() -> None:
+    try:
+        raise RateLimited("slow down", 3.0) from ValueError("why")
+    except RateLimited as raised:
+        error = raised
+    twin = fresh(error)
+    assert isinstance(twin, RateLimited)
+    assert twin is not error
+    assert twin.retry_after == 3.0
+    assert str(twin) == "slow down"
+    assert isinstance(twin.__cause__, ValueError)
+    assert twin.__traceback__ is None
+
+
+def trip(breaker: Breaker) -> None:
+    for _ in range(FAILURES_TO_OPEN):
+        breaker.enter()
+        breaker.failed(ProviderUnavailable("down"))
+
+
+def test_a_few_failures_change_nothing() -> None:
+    breaker = Breaker("x", pause=60.0)
+    for _ in range(50):
+        for _ in range(FAILURES_TO_OPEN - 1):
+            breaker.failed(ProviderUnavailable("down"))
+        breaker.succeeded()
+    assert not breaker.is_open
+    breaker.enter()
+
+
+def test_one_call_finds_out_whether_the_expert_is_back() -> None:
+    breaker = Breaker("x", pause=0.05)
+    trip(breaker)
+    assert breaker.is_open
+    entered: list[float] = []
+
+    def call() -> None:
+        breaker.enter()
+        entered.append(time.monotonic())
+
+    started = time.monotonic()
+    threads = [threading.Thread(target=call, daemon=True) for _ in range(5)]
+    for thread in threads:
+        thread.start()
+    time.sleep(0.15)
+    assert len(entered) == 1
+    assert entered[0] - started >= 0.04
+    breaker.failed(ProviderUnavailable("still down"))  # a pause of 0.1 s now
+    time.sleep(0.05)
+    assert len(entered) == 1
+    time.sleep(0.15)
+    assert len(entered) == 2
+    breaker.succeeded()
+    for thread in threads:
+        thread.join(2.0)
+    assert len(entered) == 5
+    assert not breaker.is_open
+
+
+def test_an_expert_that_stays_down_ends_the_run_with_the_reason() -> None:
+    breaker = Breaker("openai:gpt-4o", pause=0.01, outage_seconds=0.05)
+    trip(breaker)
+    for _ in range(5):  # pauses of 0.01, 0.02, 0.04, 0.08 s
+        with suppress(ProviderError):
+            breaker.enter()
+            breaker.failed(ProviderUnavailable("connection refused"))
+    with pytest.raises(ProviderError, match=r"openai:gpt-4o has failed .*: connection refused") as caught:
+        breaker.enter()
+    assert caught.value.fatal
+    assert not ProviderError.fatal
+
+
+def test_a_wait_that_the_provider_asks_for_holds_all_calls_back() -> None:
+    breaker = Breaker("x")
+    breaker.failed(RateLimited("slow down", retry_after=0.08))
+    started = time.monotonic()
+    breaker.enter()
+    assert time.monotonic() - started >= 0.07
+    assert not breaker.is_open
+
+
+def test_what_was_given_up_stays_so() -> None:
+    breaker = Breaker("x")
+    breaker.give_up(CredentialError("refused"))
+    breaker.succeeded()
+    for _ in range(2):
+        with pytest.raises(CredentialError, match="refused"):
+            breaker.enter()
