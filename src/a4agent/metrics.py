@@ -157,12 +157,23 @@ def intersection_union(prediction_mask: np.ndarray, truth_mask: np.ndarray) -> t
     return row.intersection, row.union
 
 
-def measure(prediction_mask: np.ndarray | None, truth_mask: np.ndarray, status: Status = "ok") -> Row:
+def measure(
+    prediction_mask: np.ndarray | None,
+    truth_mask: np.ndarray,
+    status: Status = "ok",
+    alternatives: Sequence[np.ndarray] = (),
+) -> Row:
     """The row of one sample. No prediction, or a failed status, gives I = 0 and U = the truth's area.
+
+    `alternatives` are masks that are as right as `truth_mask`: the one with the best IoU counts. Which it is
+    depends on the prediction, so `truth_pixels` is then None.
 
     Raises:
         DataError: a mask is not (H, W).
     """
+    if alternatives:
+        rows = [measure(prediction_mask, mask, status) for mask in (truth_mask, *alternatives)]
+        return max(rows, key=lambda row: row.intersection / max(row.union, 1))._replace(truth_pixels=None)
     truth = _binary(truth_mask, "truth")
     truth_pixels = int(np.count_nonzero(truth))
     if prediction_mask is None or status in ("invalid", "error"):

@@ -27,7 +27,11 @@ class Truth:
 
     `load_mask` reads the mask when it is wanted. The words are "" where the dataset has none:
     `object_part` is the phrase a perfect Thinker would answer ("the handle of the mug"), `category` is
-    what scores are broken down by, `affordance` the verb asked for, `answer` the dataset's reference text.
+    what scores are broken down by, `affordance` the verb asked for, `answer` the dataset's reference text;
+    `tags` are further things to break scores down by, as {"size": "small"}.
+
+    `load_alternatives` is for questions with several right answers ("open one of the drawers"): masks that
+    are each as right as the one of `load_mask`.
     """
 
     load_mask: Callable[[], np.ndarray] = field(repr=False)
@@ -36,6 +40,8 @@ class Truth:
     affordance: str = ""
     category: str = ""
     answer: str = ""
+    tags: Mapping[str, str] = field(default_factory=dict)
+    load_alternatives: Callable[[], tuple[np.ndarray, ...]] | None = field(default=None, repr=False)
 
     def mask(self) -> np.ndarray:
         """The true mask, (H, W) bool, read anew at every call.
@@ -44,6 +50,10 @@ class Truth:
             DataError: the file is missing, outside the dataset's folder or cannot be read.
         """
         return self.load_mask()
+
+    def alternatives(self) -> tuple[np.ndarray, ...]:
+        """Other masks (H, W) bool that are as right as `mask()`; for `metrics.measure`. Mostly none."""
+        return self.load_alternatives() if self.load_alternatives else ()
 
 
 @dataclass(frozen=True, eq=False)

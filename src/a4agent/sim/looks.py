@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from a4agent.sim.backend import mujoco
-from a4agent.sim.scene import EYE, FIXED_LIGHTS, TABLE_THICKNESS, Scene, bounds
+from a4agent.sim.placing import bounds
+from a4agent.sim.scene import EYE, FIXED_LIGHTS, TABLE_THICKNESS, Scene
 from a4agent.sim.things import Thing
 
 SIZES_WH = ((640, 480), (640, 480), (640, 480), (512, 512), (640, 400), (480, 640))
@@ -162,9 +163,10 @@ def aim(scene: Scene, yaw: float, size: tuple[int, int], rng: np.random.Generato
 def _focus(scene: Scene, rng: np.random.Generator) -> tuple[np.ndarray, float]:
     """The middle and radius of what the picture is of: from the part with a little around it to the whole thing."""
     low, high = bounds(scene.model, scene.data, np.concatenate(list(scene.part_geoms.values())))
-    close = min(2.5 * float(np.linalg.norm(high - low) / 2), scene.radius)
+    far = max(scene.radius, scene.thing.surroundings)
+    close = min(2.5 * float(np.linalg.norm(high - low) / 2), far)
     zoom = rng.uniform(0, 1)
-    return (1 - zoom) * (low + high) / 2 + zoom * scene.center, close ** (1 - zoom) * scene.radius**zoom
+    return (1 - zoom) * (low + high) / 2 + zoom * scene.center, close ** (1 - zoom) * far**zoom
 
 
 def draw_yaw(thing: Thing, rng: np.random.Generator) -> float:

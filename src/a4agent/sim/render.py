@@ -10,7 +10,8 @@ import numpy as np
 from a4agent.errors import ResourceError
 from a4agent.sim.backend import mujoco
 from a4agent.sim.looks import Camera
-from a4agent.sim.scene import CLEAR, EYE, PART, SOLID, Scene
+from a4agent.sim.placing import CLEAR, PART, SOLID
+from a4agent.sim.scene import EYE, Scene
 
 GEOM = 5
 """mjOBJ_GEOM: the kind of thing an id of the segmentation picture refers to."""

@@ -108,7 +108,8 @@ class Thing(Model):
 
     Things of one `kind` (by default the name) are never in one picture. `without` names bodies of its
     file to leave out. The camera looks at the thing from `front` (degrees in the ground plane, from x
-    towards y; -90 is from -y) plus or minus `spread`, from `elevation` degrees above.
+    towards y; -90 is from -y) plus or minus `spread`, from `elevation` degrees above, and sees at least
+    `surroundings` metres around the thing's middle when it is not close to a part.
     """
 
     name: str
@@ -119,6 +120,7 @@ class Thing(Model):
     front: float = -90.0
     spread: float = 55.0
     elevation: Range = (15.0, 55.0)
+    surroundings: float = 0.0
     parts: Annotated[dict[str, Part], Field(alias="part", min_length=1)]
     tasks: Annotated[tuple[Task, ...], Field(alias="task", min_length=2, max_length=4)]
 
