@@ -1,0 +1,298 @@
+"""Nothing is asked twice: not across runs, not at once, not when only a later stage changes."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from a4agent import engine
+from a4agent.affordance import Affordance, Query
+from a4agent.agent import A4Agent
+from a4agent.dreamer import Dreamer
+from a4agent.engine import EngineSettings, Stats
+from a4agent.engine.session import Session
+from a4agent.errors import AnswerError, ProviderTimeout, ProviderUnavailable, RateLimited, RequestRejected
+from a4agent.experts.base import ChatAnswer, ChatRequest, Detection, DetectRequest, EditRequest, Usage
+from a4agent.spotter import Spotter
+from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedSegmenter, ScriptedVLM, output, scripted_agent
+from a4agent.thinker import Thinker
+
+Queries = Callable[[int], Iterator[Query]]
+
+
+def make_agent(segmenter: str = "sam:large", thinker_vlm: str = "vlm:a") -> tuple[A4Agent, dict[str, Any]]:
+    def think(request: ChatRequest) -> ChatAnswer:
+        text = output("the handle") if "### Output" in request.text else f"Edit it. {request.text[-20:]}"
+        return ChatAnswer(text, usage=Usage(cost=0.01, tokens_in=100, tokens_out=10))
+
+    def redraw(request: EditRequest) -> Image.Image:
+        return Image.eval(request.image, lambda value: 255 - value)
+
+    experts: dict[str, Any] = {
+        "dreamer": ScriptedVLM(think, id="vlm:dreamer", concurrency=4),
+        "thinker": ScriptedVLM(think, id=thinker_vlm, concurrency=4),
+        "editor": ScriptedEditor(redraw, id="editor:a"),
+        "detector": ScriptedDetector(id="detector:a", max_batch=4),
+        "segmenter": ScriptedSegmenter(id=segmenter, max_batch=4),
+    }
+    agent = A4Agent(
+        Dreamer(experts["dreamer"], experts["editor"]),
+        Thinker(experts["thinker"]),
+        Spotter(experts["detector"], experts["segmenter"]),
+    )
+    return agent, experts
+
+
+def asked(experts: dict[str, Any]) -> dict[str, int]:
+    return {name: len(expert.requests) for name, expert in experts.items()}
+
+
+def facts(affordance: Affordance) -> dict[str, Any]:
+    """All of an answer but what it took."""
+    found = affordance.to_dict()
+    for step in found["trace"]:
+        step.update(seconds=0.0, cached=False)
+    return found
+
+
+def by_id(agent: A4Agent, queries: Iterator[Query], **settings: Any) -> dict[str, Affordance]:
+    return {query.id: affordance for query, affordance in engine.run(agent, queries, **settings)}
+
+
+def test_a_second_run_asks_nothing_and_answers_the_same(queries: Queries, write: EngineSettings) -> None:
+    agent, experts = make_agent()
+    plain = by_id(agent, queries(30))
+    agent, experts = make_agent()
+    first = by_id(agent, queries(30), settings=write)
+    assert asked(experts) == dict.fromkeys(experts, 30)
+    agent, experts = make_agent()
+    stats = Stats()
+    second = by_id(agent, queries(30), settings=write, stats=stats)
+    assert asked(experts) == dict.fromkeys(experts, 0)
+    assert (stats.asked, stats.saved, stats.cost) == (0, 150, 0.0)
+    for name, affordance in second.items():
+        assert facts(affordance) == facts(first[name]) == facts(plain[name])
+        assert all(step.cached for step in affordance.trace.steps)
+        assert affordance.trace.cost == 0.0
+        assert affordance.imagination is not None
+        assert affordance.imagination.image is not None
+        assert np.array_equal(affordance.imagination.image, first[name].imagination.image)  # type: ignore[union-attr]
+
+
+def test_an_ablation_of_the_segmenter_asks_only_the_segmenter(queries: Queries, write: EngineSettings) -> None:
+    agent, _ = make_agent()
+    list(engine.run(agent, queries(20), settings=write))
+    agent, experts = make_agent(segmenter="sam:tiny")
+    list(engine.run(agent, queries(20), settings=write))
+    assert asked(experts) == {"dreamer": 0, "thinker": 0, "editor": 0, "detector": 0, "segmenter": 20}
+
+
+def test_an_ablation_of_the_thinker_keeps_the_dreams_and_whatever_comes_out_the_same(
+    queries: Queries, write: EngineSettings
+) -> None:
+    agent, _ = make_agent()
+    list(engine.run(agent, queries(20), settings=write))
+    agent, experts = make_agent(thinker_vlm="vlm:b")  # names the same part, so nothing after it changes
+    list(engine.run(agent, queries(20), settings=write))
+    assert asked(experts) == {"dreamer": 0, "thinker": 20, "editor": 0, "detector": 0, "segmenter": 0}
+
+
+def test_reading_only_adds_nothing_and_off_looks_nowhere(queries: Queries, write: EngineSettings) -> None:
+    read = write.model_copy(update={"cache": "read"})
+    for settings, calls in ((read, 10), (read, 10), (write, 10), (read, 0), (EngineSettings(), 10)):
+        agent, experts = make_agent()
+        list(engine.run(agent, queries(10), settings=settings))
+        assert asked(experts)["thinker"] == calls
+
+
+def test_what_is_asked_at_the_same_time_is_asked_once(write: EngineSettings) -> None:
+    agent, experts = make_agent()
+    for expert in experts.values():
+        expert.seconds = 0.01
+    same = (Query(str(number), np.zeros((8, 8, 3), np.uint8), "open it") for number in range(40))
+    stats = Stats()
+    answers = by_id(agent, same, settings=write, stats=stats)
+    assert asked(experts) == dict.fromkeys(experts, 1)
+    assert stats.saved == 39 * 5
+    assert stats.cost == pytest.approx(0.02)
+    assert sum(a.trace.cost for a in answers.values()) == pytest.approx(0.02)
+    assert {a.status for a in answers.values()} == {"ok"}
+
+
+def test_those_that_wait_for_an_answer_ask_themselves_when_it_fails(write: EngineSettings) -> None:
+    lock, calls = threading.Lock(), [0]
+
+    def once_bad(request: DetectRequest) -> Any:
+        time.sleep(0.02)
+        with lock:
+            calls[0] += 1
+            return RequestRejected("not today") if calls[0] == 1 else [[0, 0, 4, 4]]
+
+    agent = A4Agent(None, None, Spotter(ScriptedDetector(once_bad), ScriptedSegmenter()))
+    same = (Query(str(number), np.zeros((8, 8, 3), np.uint8), "open it") for number in range(5))
+    answers = by_id(agent, same, settings=write)
+    assert sorted(a.status for a in answers.values()) == ["error"] + ["ok"] * 4
+    assert calls[0] == 2
+
+
+def test_failures_are_not_kept(queries: Queries, write: EngineSettings) -> None:
+    agent = A4Agent(None, None, Spotter(ScriptedDetector(lambda r: RequestRejected("no")), ScriptedSegmenter()))
+    assert {a.status for a in by_id(agent, queries(3), settings=write).values()} == {"error"}
+    agent = A4Agent(None, None, Spotter(ScriptedDetector(), ScriptedSegmenter()))
+    assert {a.status for a in by_id(agent, queries(3), settings=write).values()} == {"ok"}
+
+
+def test_what_may_pass_is_tried_again_and_counted(queries: Queries) -> None:
+    lock, tries = threading.Lock(), dict[str, int]()
+
+    def moody(request: DetectRequest) -> Any:
+        with lock:
+            tries[request.phrase] = tries.get(request.phrase, 0) + 1
+            return ProviderUnavailable("503") if tries[request.phrase] <= 2 else [[0, 0, 4, 4]]
+
+    agent = A4Agent(None, None, Spotter(ScriptedDetector(moody), ScriptedSegmenter()))
+    stats = Stats()
+    settings = EngineSettings(retry_wait=0.001, in_flight=4)
+    answers = by_id(agent, queries(10), settings=settings, stats=stats)
+    assert {a.status for a in answers.values()} == {"ok"}
+    assert {a.trace.steps[0].attempts for a in answers.values()} == {3}
+    assert set(tries.values()) == {3}
+    detector = next(e for e in stats.experts.values() if e.role == "detector")
+    assert (detector.asked, detector.retries, detector.failures) == (30, 20, 0)
+
+
+def test_tries_are_limited_and_the_last_reason_is_told() -> None:
+    detector = ScriptedDetector(lambda request: ProviderTimeout("no answer in 60 s"))
+    agent = A4Agent(None, None, Spotter(detector, ScriptedSegmenter()))
+    settings = EngineSettings(retry_wait=0.001, retries=2)
+    ((_, affordance),) = engine.run(agent, [Query("a", Image.new("RGB", (8, 8)), "open")], settings=settings)
+    assert affordance.status == "error"
+    assert affordance.error == "ProviderTimeout: no answer in 60 s"
+    assert affordance.trace.steps[0].attempts == len(detector.requests) == 3
+
+
+@pytest.mark.parametrize("error", [RequestRejected("no"), AnswerError("refused"), ZeroDivisionError("a bug")])
+def test_what_will_not_pass_is_not_tried_again(error: Exception) -> None:
+    detector = ScriptedDetector(lambda request: error)
+    agent = A4Agent(None, None, Spotter(detector, ScriptedSegmenter()))
+    ((_, affordance),) = engine.run(agent, [Query("a", Image.new("RGB", (8, 8)), "open")])
+    assert affordance.status in ("error", "invalid")
+    assert len(detector.requests) == 1
+
+
+def test_an_outage_costs_no_sample(queries: Queries) -> None:
+    """The expert is down for longer than all tries of a request together would last."""
+    back = time.monotonic() + 0.6
+
+    def down_for_a_while(request: DetectRequest) -> Any:
+        return [[0, 0, 4, 4]] if time.monotonic() > back else ProviderUnavailable("connection refused")
+
+    detector = ScriptedDetector(down_for_a_while, concurrency=4)
+    agent = A4Agent(None, None, Spotter(detector, ScriptedSegmenter()))
+    answers = by_id(agent, queries(50), settings=EngineSettings(retry_wait=0.01, retries=4))
+    assert len(answers) == 50
+    assert {a.status for a in answers.values()} == {"ok"}
+    assert len(detector.requests) < 50 + 50
+
+
+def test_an_expert_that_stays_down_stops_the_run(queries: Queries) -> None:
+    detector = ScriptedDetector(lambda request: ProviderUnavailable("connection refused"), id="openai:gpt-4o")
+    agent = A4Agent(None, None, Spotter(detector, ScriptedSegmenter()))
+    settings = EngineSettings(retry_wait=0.005, outage_seconds=0.1)
+    with pytest.raises(Exception, match=r"openai:gpt-4o has failed .*connection refused"):
+        list(engine.run(agent, queries(1000), settings=settings))
+    assert len(detector.requests) < 60
+
+
+def test_a_rate_limit_is_waited_out(queries: Queries) -> None:
+    lock, state = threading.Lock(), {"limited": 0.0, "early": 0}
+
+    def limited(request: DetectRequest) -> Any:
+        with lock:
+            now = time.monotonic()
+            if state["limited"] == 0.0:
+                state["limited"] = now
+                return RateLimited("slow down", retry_after=0.2)
+            state["early"] += now < state["limited"] + 0.19
+            return [[0, 0, 4, 4]]
+
+    agent = A4Agent(None, None, Spotter(ScriptedDetector(limited), ScriptedSegmenter()))
+    answers = by_id(agent, queries(10), settings=EngineSettings(retry_wait=0.001))
+    assert {a.status for a in answers.values()} == {"ok"}
+    assert state["early"] == 0
+
+
+class Encoder(ScriptedSegmenter):
+    """A segmenter that tells which images it prepared."""
+
+    def __init__(self) -> None:
+        super().__init__(id="sam:x")
+        self.prepared: list[int] = []
+        self.ready = threading.Event()
+
+    def prepare(self, images: Any) -> None:
+        self.prepared += [id(image) for image in images]
+        self.ready.set()
+
+
+def test_the_image_is_encoded_while_the_editor_works(write: EngineSettings) -> None:
+    encoder = Encoder()
+    overlapped: list[bool] = []
+
+    def redraw(request: EditRequest) -> Image.Image:
+        overlapped.append(encoder.ready.wait(5.0))
+        return request.image
+
+    def make() -> A4Agent:
+        agent = scripted_agent(dream=True)
+        assert agent.dreamer is not None
+        dreamer = Dreamer(agent.dreamer.vlm, ScriptedEditor(redraw))
+        return A4Agent(dreamer, agent.thinker, Spotter(ScriptedDetector(), encoder))
+
+    query = Query("a", np.zeros((8, 8, 3), np.uint8), "open")
+    list(engine.run(make(), [query], settings=write))
+    assert overlapped == [True]
+    assert encoder.prepared == [id(encoder.requests[0].image)]  # the very picture that is segmented later
+    list(engine.run(make(), [query], settings=write))
+    assert len(encoder.prepared) == 1  # all answers are kept: there is nothing to encode for
+
+
+def test_enough_samples_are_in_flight_for_the_slowest_expert() -> None:
+    def in_flight(agent: A4Agent, **settings: Any) -> int:
+        session = Session(agent, EngineSettings(**settings))
+        session.close()
+        return session.in_flight
+
+    few = A4Agent(None, None, Spotter(ScriptedDetector(), ScriptedSegmenter()))
+    many = A4Agent(None, None, Spotter(ScriptedDetector(max_batch=8, concurrency=4), ScriptedSegmenter()))
+    huge = A4Agent(None, None, Spotter(ScriptedDetector(concurrency=1000), ScriptedSegmenter()))
+    assert in_flight(few) >= 3
+    assert in_flight(many) >= 8 * 4 + 1 + 1
+    assert in_flight(huge) == 128
+    assert in_flight(huge, in_flight=200) == 200
+
+
+def test_one_expert_in_two_roles_shares_a_queue(queries: Queries) -> None:
+    agent = scripted_agent(dream=True)
+    assert agent.dreamer is not None
+    assert agent.thinker is not None
+    assert agent.dreamer.vlm is agent.thinker.vlm
+    stats = Stats()
+    list(engine.run(agent, queries(10), stats=stats))
+    assert stats.experts["vlm scripted:expert"].asked == 20
+    assert any("20 asked" in line for line in stats.lines())
+
+
+def test_an_answer_s_own_attempts_add_up() -> None:
+    answers = iter([ProviderUnavailable("503"), Detection(np.zeros((0, 4), np.float32), usage=Usage(attempts=3))])
+    agent = A4Agent(None, None, Spotter(ScriptedDetector(lambda request: next(answers)), None))
+    query = Query("a", Image.new("RGB", (8, 8)), "open")
+    ((_, affordance),) = engine.run(agent, [query], settings=EngineSettings(retry_wait=0.001))
+    assert affordance.status == "empty"
+    assert affordance.trace.steps[0].attempts == 4
