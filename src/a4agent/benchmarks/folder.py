@@ -150,7 +150,7 @@ def _masks(row: dict[str, Any]) -> list[Any]:
 
 
 def _sample(root: Path, row: dict[str, Any]) -> Sample:
-    words = {key: str(row.get(key) or "") for key in WORDS}
+    words: dict[str, Any] = {key: str(row.get(key) or "") for key in WORDS}
     words["category"] = words["category"] or words["object_name"] or words["affordance"]
     load: Callable[[], np.ndarray] = partial(_union, root, row["id"], _masks(row))
     image = files.confined(root, row["image"])

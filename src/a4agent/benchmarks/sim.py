@@ -29,10 +29,10 @@ from a4agent.errors import DataError
 DEFAULT_N, DEFAULT_SEED = 200, 0
 SOURCE = "a4 data make sim --out DIR"
 SIZES = ((0.003, "below 0.3 %"), (0.01, "0.3 to 1 %"), (0.04, "1 to 4 %"), (1.0, "above 4 %"))
-NEEDED = {
-    "id", "image", "mask", "instruction", "object_name", "object_part", "affordance", "direct", "choose",
-    "regions", "region_numbers", "visible_share", "picture_share", "depth", "depth_scale", "camera_matrix", "camera_pose",
-}  # fmt: skip
+NEEDED = set(
+    "id image mask instruction object_name object_part affordance direct choose regions region_numbers "
+    "visible_share picture_share depth depth_scale camera_matrix camera_pose".split()
+)
 VISIBLE = ((0.7, "below 70 %"), (0.95, "70 to 95 %"), (1.0, "above 95 %"))
 
 
@@ -43,7 +43,7 @@ def create(path: str | Path | None = None) -> Benchmark:
         DataError: not a set, or one that was not finished or is of a newer format.
         MissingExtraError: there is no path and no default set yet, and nothing to make it with.
     """
-    root = files.folder(default_set() if not path else path, "sim")
+    root = files.folder(path or default_set(), "sim")
     about = files.read_json(root / "set.json")
     if not isinstance(about, dict) or about.get("benchmark") != "sim":
         raise DataError(f"{str(root / 'set.json')!r} does not describe a sim set; make one: {SOURCE}")
@@ -107,7 +107,7 @@ def cache_folder() -> Path:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """For lifting to 3D: `depth` (H, W) float32 metres, 0 where unknown; `matrix` (3, 3); `pose` (4, 4) camera to world.
+    """For lifting to 3D: `depth` (H, W) float32 metres, 0 where unknown; `matrix` (3, 3); `pose` (4, 4) to the world.
 
     In OpenCV's convention: x right, y down, z into the picture, pixels from the top left corner.
     """
