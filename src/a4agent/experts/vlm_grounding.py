@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -167,15 +167,24 @@ def create(
     return VlmDetector(dialect, _build(dialect, vlm), max_tokens or dialect.max_tokens)
 
 
+def inner_experts(model: str, settings: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """The VLM that a detector with these settings builds, as spec and settings; [] if it gets one that is built."""
+    vlm = settings.get("vlm", "")
+    if not isinstance(vlm, (str, Mapping)):
+        return []
+    own: dict[str, Any] = {"expert": vlm} if isinstance(vlm, str) else dict(cast("Mapping[str, Any]", vlm))
+    spec = str(own.pop("expert", "") or (dialects()[model].vlm if model in dialects() else ""))
+    return [(spec, own)] if spec else []
+
+
 def _build(dialect: Dialect, vlm: str | Mapping[str, Any] | VisionLanguageModel) -> VisionLanguageModel:
     if not isinstance(vlm, (str, Mapping)):
         return vlm
-    settings = {"expert": vlm} if isinstance(vlm, str) else dict(vlm)
-    spec = str(settings.pop("expert", "") or dialect.vlm)
-    if not spec:
+    inner = inner_experts(dialect.name, {"vlm": vlm})
+    if not inner:
         raise ConfigError(f"'vlm-grounding:{dialect.name}' works with any VLM; say which: vlm = \"openai:gpt-4o\"")
-    expert: Any = registry.create(spec, "vlm", settings)
-    return expert
+    spec, settings = inner[0]
+    return cast(VisionLanguageModel, registry.create(spec, "vlm", settings))
 
 
 class VlmDetector(ExpertBase):

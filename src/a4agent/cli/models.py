@@ -1,0 +1,208 @@
+"""`a4 models list | pull | verify`: what a profile needs on disk, fetched and checked."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from a4agent.cli import common
+from a4agent.cli.common import SetOption, messages
+from a4agent.errors import ModelFilesError, ResourceError
+
+if TYPE_CHECKING:
+    from a4agent.models import Need
+
+app = typer.Typer(no_args_is_help=True)
+
+NamesArgument = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[NAME]...", help="Profiles, experts (sam2:tiny), folders or OWNER/NAME on the hub."),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
+
+
+@app.command("list")
+def list_models(names: NamesArgument = None, sets: SetOption = None, as_json: JsonOption = False) -> None:
+    """Say which models there are or a profile needs: size, licence, gating, and what is on this disk."""
+    found = _needs(names, sets) if names else _catalogue()
+    if as_json:
+        print(json.dumps([_as_dict(need) for need in found], indent=1))
+    else:
+        _show(found, everything=not names)
+
+
+@app.command()
+def pull(
+    names: NamesArgument = None,
+    sets: SetOption = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before the download starts.")] = False,
+) -> None:
+    """Fetch models; what a broken attempt left is used again.
+
+    Says sizes, licences and gating first. HF_HOME moves the cache, HF_TOKEN opens gated models.
+    """
+    from a4agent.experts import hub
+
+    needs = _named(names, sets)
+    missing = [need for need in needs if need.path is None]
+    for need in needs:
+        if need.path is not None:
+            messages.print(f"{need.name} is here: {need.path}")
+    if not missing:
+        return
+    sizes = {need: hub.download_bytes(need.name, need.revision, need.file) for need in missing}
+    _announce(sizes)
+    _check_room(sum(sizes.values()))
+    if not yes and sys.stdin.isatty() and not typer.confirm("Fetch them?", default=True, err=True):
+        raise typer.Exit(common.USAGE)
+    for need in missing:
+        path = hub.fetch(need.name, need.revision, need.file)
+        messages.print(f"[green]fetched[/] {need.name}: {path}")
+
+
+@app.command()
+def verify(
+    names: NamesArgument = None,
+    sets: SetOption = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Look at sizes and headers only, not at every byte.")] = False,
+) -> None:
+    """Check that models on this disk are whole; no network. Exit code 1 if one is not."""
+    from a4agent.experts.intact import damage_in
+
+    damaged = 0
+    for need in _named(names, sets):
+        if need.path is None:
+            damaged += 1
+            messages.print(f"[red]missing[/] {need.name}: a4 models pull {need.name}")
+            continue
+        with messages.status(f"reading {need.name}"):
+            found = damage_in(need.path, contents=not quick)
+        for problem in found:
+            messages.print(f"[red]damaged[/] {need.name}: {problem}", markup=True, soft_wrap=True)
+        if found:
+            damaged += 1
+            messages.print(f"  delete {need.path} and run: a4 models pull {need.name}", soft_wrap=True)
+        else:
+            messages.print(f"[green]whole[/]   {need.name}", soft_wrap=True)
+    if damaged:
+        raise typer.Exit(common.SOME_FAILED)
+
+
+def _named(names: list[str] | None, sets: list[str] | None) -> list[Need]:
+    if not names:
+        raise ModelFilesError("name a profile, an expert or a model: a4 models pull small, a4 models pull sam2:tiny")
+    return _needs(names, sets)
+
+
+def _needs(names: list[str], sets: list[str] | None) -> list[Need]:
+    """The checkpoints behind names, each once."""
+    found: dict[tuple[str, str, str | None], Need] = {}
+    for name in names:
+        for need in _needs_of(name, sets):
+            found.setdefault((need.name, need.file, need.revision), need)
+    return list(found.values())
+
+
+def _needs_of(name: str, sets: list[str] | None) -> list[Need]:
+    from a4agent import models
+    from a4agent.config import ExpertSettings, profile_names
+    from a4agent.errors import UnknownNameError
+
+    if name in profile_names() or name.endswith(".toml"):
+        return models.needs(common.settings(name, sets).expert_specs())
+    if ":" in name and "/" not in name.partition(":")[0] and "\\" not in name:
+        return models.needs({name: ExpertSettings(expert=name)})
+    try:
+        return [models.need(name)]
+    except ModelFilesError as error:
+        known = [*profile_names(), *models.catalogue()]
+        raise UnknownNameError.of("profile or model", name, known) from error
+
+
+def _catalogue() -> list[Need]:
+    from a4agent import models
+
+    return [models.need(name) for name in models.catalogue()]
+
+
+def _as_dict(need: Need) -> dict[str, Any]:
+    return {
+        "name": need.name,
+        "file": need.file or None,
+        "roles": list(need.roles),
+        "gigabytes": need.info.gigabytes,
+        "licence": need.info.licence,
+        "gated": need.info.gated,
+        "commercial": need.info.commercial,
+        "revision": need.revision,
+        "path": str(need.path) if need.path else None,
+        "commit": need.commit or None,
+    }
+
+
+def _show(needs: list[Need], *, everything: bool) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    console = Console(highlight=False)
+    if not needs:
+        console.print("no models to download: it works with APIs or with what is installed")
+        return
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("")
+    table.add_column("model", no_wrap=True)
+    table.add_column("GB", justify="right")
+    table.add_column("licence")
+    table.add_column("commit" if everything else "for")
+    for need in needs:
+        mark = "[green]●[/]" if need.path else "[dim]○[/]"
+        last = need.commit[:12] if everything else ", ".join(need.roles)
+        table.add_row(mark, escape(need.name), _gigabytes(need), escape(_terms(need)), escape(last))
+    console.print(table)
+    absent = [need for need in needs if need.path is None]
+    size = sum(need.info.gigabytes or 0 for need in absent)
+    console.print("[dim]● on this disk   ○ not yet[/]")
+    if absent and not everything:
+        console.print(
+            f"about {size:.1f} GB to fetch: [cyan]a4 models pull {' '.join(n.name for n in absent)}[/]", soft_wrap=True
+        )
+    pinned = [need for need in needs if need.commit and not need.revision]
+    if pinned and not everything:
+        console.print("[dim]to pin what is here, give the expert the setting revision:[/]")
+        for need in pinned:
+            console.print(f'[dim]  {escape(need.name)}  revision = "{need.commit}"[/]')
+
+
+def _announce(sizes: dict[Need, int]) -> None:
+    for need, size in sizes.items():
+        place = f" ({need.file})" if need.file else ""
+        messages.print(f"{need.name}{place}: {size / 1e9:.2f} GB, {_terms(need)}", soft_wrap=True)
+    messages.print(f"{sum(sizes.values()) / 1e9:.2f} GB in all")
+
+
+def _check_room(needed: int) -> None:
+    from a4agent.experts import hub
+
+    folder = hub.cache_folder()
+    existing = next(place for place in (folder, *folder.parents) if place.exists())
+    free = shutil.disk_usage(existing).free
+    if needed > free:
+        raise ResourceError(
+            f"{needed / 1e9:.1f} GB are needed and {free / 1e9:.1f} GB are free in {str(folder)!r}; "
+            "make room, or set HF_HOME to a larger disk"
+        )
+
+
+def _gigabytes(need: Need) -> str:
+    return "" if need.info.gigabytes is None else f"{need.info.gigabytes:.2f}"
+
+
+def _terms(need: Need) -> str:
+    gated = "gated: accept its licence on the model's page" if need.info.gated else ""
+    closed = "" if need.info.commercial else "non-commercial"
+    return ", ".join(filter(None, (need.info.licence, closed, gated, need.info.note)))

@@ -1,0 +1,162 @@
+"""Which checkpoints experts need, and whether they lie on this disk.
+
+    needs(load_settings("small").expert_specs())
+        -> [Need("Qwen/Qwen3-VL-2B-Instruct", roles=("thinker.vlm",), path=None, info=Model(gigabytes=4.3, ...)), ...]
+    check(settings.expert_specs())      before any work starts: every model is here, or can be fetched
+
+What a provider's model part stands for is in models.toml. A provider that is not there can say it itself:
+its factory's module may define `checkpoints(model, settings) -> list[str]` (folders, OWNER/NAME or
+OWNER/NAME/FILE) and `inner_experts(model, settings) -> list[(spec, settings)]` for experts it builds.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+from a4agent.data_files import read_toml
+from a4agent.errors import CredentialError, ModelFilesError
+from a4agent.experts import hub, registry
+
+_NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+(/.+)?")
+
+
+class Spec(Protocol):
+    """An expert as settings have it: "provider:model" and the expert's own settings."""
+
+    @property
+    def expert(self) -> str: ...
+
+    @property
+    def settings(self) -> dict[str, Any]: ...
+
+
+@dataclass(frozen=True)
+class Model:
+    """What the catalogue knows of a checkpoint: about how many 10^9 bytes, under which licence."""
+
+    name: str
+    gigabytes: float | None = None
+    licence: str = "see the model's page"
+    gated: bool = False
+    commercial: bool = True
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Need:
+    """One checkpoint that experts need. `path` is its folder or file on this disk, None if it has to be fetched."""
+
+    name: str
+    file: str
+    revision: str | None
+    roles: tuple[str, ...]
+    path: Path | None
+    info: Model
+
+    @property
+    def is_folder(self) -> bool:
+        """Whether it is a folder of the user's, which nobody fetches."""
+        return not _NAME.fullmatch(self.name) or Path(self.name).expanduser().is_dir()
+
+    @property
+    def commit(self) -> str:
+        """The commit that lies in the hub's cache; "" if none does."""
+        snapshot = re.search(r"snapshots[\\/]([0-9a-f]{40})", str(self.path or ""))
+        return snapshot[1] if snapshot else ""
+
+
+def catalogue() -> dict[str, Model]:
+    """The checkpoints whose size and licence are known, by name."""
+    return {row["name"]: Model(**row) for row in read_toml("a4agent", "models.toml")["model"]}
+
+
+def needs(experts: Mapping[str, Spec]) -> list[Need]:
+    """The checkpoints behind experts, given by role; each once, in the order of the roles.
+
+    Raises:
+        UnknownNameError: nobody registered a provider.
+        ModelFilesError: a folder is not there.
+        MissingExtraError: a model of the hub is needed, and its client is not installed.
+    """
+    found: dict[tuple[str, str | None], Need] = {}
+    for role, spec in experts.items():
+        for checkpoint, revision in _checkpoints_of(spec.expert, spec.settings):
+            known = found.get((checkpoint, revision))
+            found[checkpoint, revision] = (
+                replace(known, roles=(*known.roles, role)) if known else need(checkpoint, revision, role)
+            )
+    return list(found.values())
+
+
+def need(checkpoint: str, revision: str | None = None, role: str = "") -> Need:
+    """One checkpoint: a folder, OWNER/NAME, OWNER/NAME/FILE, or "provider:model" of a single one.
+
+    Raises:
+        ModelFilesError: neither a folder nor a name.
+    """
+    roles = (role,) if role else ()
+    path = Path(checkpoint).expanduser()
+    if path.exists():
+        return Need(checkpoint, "", None, roles, path, Model(checkpoint, licence="your own folder"))
+    if not _NAME.fullmatch(checkpoint):
+        raise ModelFilesError(f"there is no folder {checkpoint!r}, and the name of a model is written 'OWNER/NAME'")
+    owner, model, *rest = checkpoint.split("/")
+    name, file = f"{owner}/{model}", "/".join(rest)
+    info = catalogue().get(name, Model(name))
+    return Need(name, file, revision, roles, hub.cached(name, revision, file), info)
+
+
+def check(experts: Mapping[str, Spec]) -> list[Need]:
+    """Make sure that every model is on this disk or can be fetched; returns what still has to be fetched.
+
+    Asks the hub one small question a missing model, and nothing if none is missing.
+
+    Raises:
+        ModelFilesError: a model is not here and the hub cannot be reached; the message names all of them.
+        CredentialError: a model is gated and this account has no access.
+    """
+    missing = [one for one in needs(experts) if one.path is None]
+    failures: list[ModelFilesError | CredentialError] = []
+    for one in missing:
+        try:
+            hub.reach(one.name, one.revision)
+        except (ModelFilesError, CredentialError) as error:
+            failures.append(error)
+    if len(failures) == 1:
+        raise failures[0]
+    if failures:
+        names = " ".join(dict.fromkeys(one.name for one in missing))
+        raise type(failures[0])(
+            f"{failures[0]}\n{len(missing)} models are missing; all of them: a4 models pull {names}"
+        )
+    return missing
+
+
+def _checkpoints_of(spec: str, settings: Mapping[str, Any]) -> list[tuple[str, str | None]]:
+    """The checkpoints of one expert and of the experts inside it, with the revision that was asked for."""
+    provider, model = registry.split(spec)
+    table = read_toml("a4agent", "models.toml")
+    if provider in table["local"]:
+        revision = cast("str | None", settings.get("revision")) or None
+        whole = (str(table["local"][provider].get(model, model)), revision)
+        return [whole, *((file, None) for file in _lora_of(model, settings, table["lightning"]))]
+    module: Any = sys.modules.get(registry.factory_of(provider).__module__)
+    own: Sequence[str] = module.checkpoints(model, settings) if hasattr(module, "checkpoints") else ()
+    inner = module.inner_experts(model, settings) if hasattr(module, "inner_experts") else ()
+    found: list[tuple[str, str | None]] = [(name, None) for name in own]
+    for inner_spec, inner_settings in inner:
+        found += _checkpoints_of(inner_spec, inner_settings)
+    return found
+
+
+def _lora_of(model: str, settings: Mapping[str, Any], lightning: Mapping[str, str]) -> list[str]:
+    if settings.get("lora"):
+        return [str(settings["lora"])]
+    if settings.get("lightning") and model in lightning:
+        return [lightning[model].format(steps=settings["lightning"])]
+    return []
