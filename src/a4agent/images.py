@@ -19,6 +19,10 @@ MAX_PIXELS = 100_000_000
 SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".gif", ".ppm"})
 
 
+class TooManyPixels(InputError):
+    """A picture larger than the limit, told from its header."""
+
+
 def load_image(source: str | Path | bytes | np.ndarray | Image, *, max_pixels: int = MAX_PIXELS) -> Image:
     """An RGB picture from a path, the bytes of a file, a uint8 array (H, W, 3) or (H, W), or a PIL image.
 
@@ -26,7 +30,8 @@ def load_image(source: str | Path | bytes | np.ndarray | Image, *, max_pixels: i
     brought to 8.
 
     Raises:
-        InputError: not there, empty, cut off, not an image, or more than `max_pixels` pixels.
+        InputError: not there, empty, cut off or not an image.
+        TooManyPixels: an InputError too, for more than `max_pixels` pixels.
     """
     from PIL import Image
 
@@ -63,7 +68,7 @@ def _from_file(file: IO[bytes], name: str, size: int, max_pixels: int) -> Image:
     except UnidentifiedImageError as error:
         raise InputError(f"{name} is not an image in a format that can be read (JPEG, PNG, WebP, ...)") from error
     except Image.DecompressionBombError as error:
-        raise InputError(f"{name} has too many pixels; the limit is the setting image.max_pixels") from error
+        raise TooManyPixels(f"{name} has too many pixels; the limit is the setting image.max_pixels") from error
     except InputError:
         raise
     except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError, KeyError) as error:
@@ -87,7 +92,7 @@ def _to_rgb(image: Image, name: str, max_pixels: int) -> Image:
 
     width, height = image.size
     if width * height > max_pixels:
-        raise InputError(
+        raise TooManyPixels(
             f"{name} has {width} x {height} pixels, over the limit of {max_pixels}; raise the setting image.max_pixels"
         )
     if width * height == 0:

@@ -1,0 +1,65 @@
+"""`a4 serve`: the HTTP API for robots and services."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from a4agent.cli import common
+from a4agent.errors import ConfigError, require
+
+if TYPE_CHECKING:
+    from a4agent.agent import A4Agent
+
+
+def serve(
+    profile: common.ProfileOption = None,
+    host: Annotated[
+        str, typer.Option(help="The address to listen on; beyond loopback a token is needed.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one.")] = 8000,
+    token_file: Annotated[
+        Path | None, typer.Option(help="A file with the bearer token; else A4_SERVER_TOKEN is read.")
+    ] = None,
+    workers: Annotated[
+        int, typer.Option(min=1, help="Predictions at a time, if the profile's experts take as many calls.")
+    ] = 1,
+    max_bytes: Annotated[int, typer.Option(min=1024, help="The most bytes of a request.")] = 32 * 2**20,
+    max_pixels: Annotated[int, typer.Option(min=1, help="The most pixels of a picture.")] = 25_000_000,
+    queue: Annotated[int, typer.Option(min=0, help="How many requests may wait.")] = 16,
+    seconds: Annotated[float, typer.Option(min=0.1, help="The longest time to an answer.")] = 300.0,
+    batch: Annotated[int, typer.Option(min=1, help="The most samples of a batch.")] = 16,
+    sets: common.SetOption = None,
+) -> None:
+    """Serve affordances over HTTP.
+
+    [dim]curl -F image=@mug.jpg -F instruction='drink from the mug' http://127.0.0.1:8000/v1/affordances[/]
+    """
+    for module in ("fastapi", "uvicorn", "python_multipart", "prometheus_client"):
+        require(module, extra="serve")
+    from a4agent.agent import A4Agent
+    from a4agent.serve import auth, run
+    from a4agent.serve.api import create_app
+    from a4agent.serve.limits import Limits
+
+    token = auth.read_token(host, token_file)
+    settings = common.settings(profile, sets)
+    limits = Limits(max_bytes, max_pixels, queue, seconds, batch=batch)
+    listening = run.bind(host, port)
+    agent = A4Agent.from_settings(settings)
+    app = create_app(_agents(agent, workers), profile=settings.name, limits=limits, token=token)
+    guarded = "with a token" if token else "for this machine only"
+    common.messages.print(f"serving the profile {settings.name!r} at {run.url_of(listening)} {guarded}; Ctrl+C ends")
+    run.run(app, listening, seconds=seconds)
+
+
+def _agents(agent: A4Agent, workers: int) -> list[A4Agent]:
+    narrow = [expert for expert in agent.experts() if expert.concurrency < workers]
+    if narrow:
+        raise ConfigError(
+            f"{narrow[0].id} takes {narrow[0].concurrency} call(s) at a time, too few for {workers} workers;"
+            " start one server a GPU (CUDA_VISIBLE_DEVICES=0 a4 serve --port 8000, ...)"
+        )
+    return [agent] * workers

@@ -1,0 +1,150 @@
+"""Between HTTP and the workers: questions are read, handed over, and waited for as long as they may take."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncGenerator, Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import aclosing
+from dataclasses import replace
+from typing import Any
+
+from starlette.datastructures import UploadFile
+from starlette.requests import ClientDisconnect, Request
+
+from a4agent.affordance import Affordance
+from a4agent.agent import A4Agent
+from a4agent.errors import A4Error
+from a4agent.serve import questions, wire
+from a4agent.serve.limits import Limits, Refused
+from a4agent.serve.metrics import Metrics
+from a4agent.serve.questions import Question, Unusable
+from a4agent.serve.workers import Tell, Work, Workers
+
+KEEP_ALIVE_SECONDS = 15.0
+"""A stream without news says that it is alive, so that proxies keep it open."""
+
+
+class Desk:
+    """Between HTTP and the workers: reads questions, hands them over, waits for the answers as long as it may."""
+
+    def __init__(self, workers: Workers, limits: Limits, metrics: Metrics) -> None:
+        self.workers = workers
+        self.limits = limits
+        self.metrics = metrics
+        # One thread decodes: Pillow's warnings are silenced through filters that all threads share.
+        self._decoder = ThreadPoolExecutor(1, "a4-decoder")
+
+    def close(self) -> None:
+        self._decoder.shutdown()
+
+    async def read_one(self, request: Request) -> Question:
+        """The question of a form or a JSON body; see `questions` for what is refused."""
+        kind = _content_type(request)
+        if kind == "application/json":
+            return await self._in_decoder(questions.from_json, await request.body(), self.limits)
+        if kind != "multipart/form-data":
+            raise Refused(415, f"send multipart/form-data or application/json, not {kind or 'a body of no type'}")
+        async with request.form(max_files=1, max_fields=8, max_part_size=64 * 1024) as form:
+            upload = form.get("image")
+            data = await upload.read() if isinstance(upload, UploadFile) else None
+            fields = {name: value for name, value in form.items() if name != "image"}
+        return await self._in_decoder(questions.from_form, fields, data, self.limits)
+
+    async def read_batch(self, request: Request) -> list[Question | Unusable]:
+        """The questions of a batch, and what of it cannot be used."""
+        if (kind := _content_type(request)) != "application/json":
+            raise Refused(415, f"send application/json, not {kind or 'a body of no type'}")
+        return await self._in_decoder(questions.batch_from_json, await request.body(), self.limits)
+
+    def predict(self, agent: A4Agent, question: Question | Unusable, tell: Tell) -> Affordance:
+        """One prediction, on a worker's thread."""
+        if isinstance(question, Unusable):
+            return Affordance(question.instruction, (0, 0), status="error", error=question.reason, id=question.id)
+        started = time.monotonic()
+        affordance = agent.predict(question.picture, question.instruction, given=question.given, on_stage=tell)
+        self.metrics.predicted(affordance, time.monotonic() - started)
+        return replace(affordance, id=question.id)
+
+    async def answer(self, work: Work, request: Request) -> Any:
+        """The result of the work; it is dropped when the caller goes away."""
+        gone = asyncio.create_task(_disconnected(request))
+        async with aclosing(self._events(work)) as events:
+            try:
+                while True:
+                    coming = asyncio.ensure_future(anext(events))
+                    await asyncio.wait({coming, gone}, return_when=asyncio.FIRST_COMPLETED)
+                    if not coming.done():
+                        coming.cancel()
+                        await asyncio.wait({coming})
+                        raise ClientDisconnect
+                    name, data = coming.result()
+                    if name == "affordance":
+                        return data
+            finally:
+                gone.cancel()
+
+    async def stream(self, work: Work) -> AsyncGenerator[bytes]:
+        """The same as server-sent events: queued, then each stage, at last `affordance` or `error`."""
+        try:
+            async with aclosing(self._events(work)) as events:
+                async for name, data in events:
+                    yield b": still working\n\n" if name == "" else wire.event(name, data)
+        except Refused as refused:
+            yield wire.event("error", {**refused.body, "code": refused.code, "retry_after": refused.retry_after})
+        except Exception as error:
+            refused = blame(error)
+            yield wire.event("error", {**refused.body, "code": refused.code, "retry_after": refused.retry_after})
+            if refused.code == 500:
+                raise
+
+    async def _events(self, work: Work) -> AsyncGenerator[tuple[str, Any]]:
+        loop = asyncio.get_running_loop()
+        happened: asyncio.Queue[tuple[str, Any]] = asyncio.Queue()
+
+        def tell(name: str, data: Any) -> None:
+            loop.call_soon_threadsafe(happened.put_nowait, (name, data))
+
+        deadline = loop.time() + self.limits.seconds
+        job = self.workers.submit(work, tell)
+        job.future.add_done_callback(lambda future: tell("done", None))
+        try:
+            yield "queued", {"position": self.workers.position(job)}
+            while True:
+                left = deadline - loop.time()
+                if left <= 0:
+                    wait = self.workers.seconds_to_wait()
+                    raise Refused(503, f"no answer within {self.limits.seconds:g} seconds; try again later", wait)
+                try:
+                    name, data = await asyncio.wait_for(happened.get(), min(left, KEEP_ALIVE_SECONDS))
+                except asyncio.TimeoutError:
+                    yield "", None
+                    continue
+                if name == "done":
+                    yield "affordance", job.future.result()
+                    return
+                yield name, data
+        finally:
+            job.cancel()
+
+    async def _in_decoder(self, read: Callable[..., Any], *arguments: Any) -> Any:
+        return await asyncio.get_running_loop().run_in_executor(self._decoder, read, *arguments)
+
+
+def blame(error: Exception) -> Refused:
+    """What to say to a caller about an error that is not theirs."""
+    if isinstance(error, Refused):
+        return error
+    if isinstance(error, A4Error):  # a key, a model file or a budget: no request can succeed until someone acts
+        return Refused(503, f"the server cannot work now: {error}", retry_after=60)
+    return Refused(500, "the server made a mistake; its log says more")
+
+
+async def _disconnected(request: Request) -> None:
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
+
+
+def _content_type(request: Request) -> str:
+    return request.headers.get("content-type", "").partition(";")[0].strip().lower()
