@@ -36,17 +36,29 @@ HANDAL = (
 
 
 def create_3doi(path: str | Path) -> Benchmark:
-    """RAGNet-3DOI, easy questions (1,012). Raises DataError if it is not at `path`."""
+    """RAGNet-3DOI, easy questions (1,012).
+
+    Raises:
+        DataError: it is not at `path`, or its pickle is not a plain list of questions.
+    """
     return _open("ragnet-3doi", path, "3doi_easy_reasoning_val.pkl", 1012, "see the dataset's page", DATA)
 
 
 def create_handal_easy(path: str | Path) -> Benchmark:
-    """RAGNet-HANDAL, easy questions (1,003). Raises DataError if it is not at `path`."""
+    """RAGNet-HANDAL, easy questions (1,003).
+
+    Raises:
+        DataError: it is not at `path`, or its pickle is not a plain list of questions.
+    """
     return _open("ragnet-handal-easy", path, "handal_easy_reasoning_val.pkl", 1003, "CC-BY-NC-SA-4.0", HANDAL)
 
 
 def create_handal_hard(path: str | Path) -> Benchmark:
-    """RAGNet-HANDAL, hard questions (1,003). Raises DataError if it is not at `path`."""
+    """RAGNet-HANDAL, hard questions (1,003).
+
+    Raises:
+        DataError: it is not at `path`, or its pickle is not a plain list of questions.
+    """
     return _open("ragnet-handal-hard", path, "handal_hard_reasoning_val.pkl", 1003, "CC-BY-NC-SA-4.0", HANDAL)
 
 

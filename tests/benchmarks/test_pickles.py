@@ -1,0 +1,126 @@
+"""A pickle of plain data is read; anything that names another class is refused before it can run."""
+
+from __future__ import annotations
+
+import collections
+import io
+import pickle
+import pickletools
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from a4agent.benchmarks import pickles
+from a4agent.errors import DataError
+
+PLAIN = [{"frame_path": "./data/x.jpg", "n": 3, "f": 0.5, "b": b"raw", "none": None, "t": (1, True), "s": {1, 2}}]
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+def test_plain_data_is_read_in_every_protocol(tmp_path: Path, protocol: int) -> None:
+    if protocol < 4:
+        plain = [{key: value for key, value in PLAIN[0].items() if key not in ("b", "s")}]
+    else:
+        plain = PLAIN
+    (tmp_path / "x.pkl").write_bytes(pickle.dumps(plain, protocol=protocol))
+
+    assert pickles.load(tmp_path / "x.pkl") == plain
+
+
+@pytest.mark.parametrize("protocol", range(2, pickle.HIGHEST_PROTOCOL + 1))
+@pytest.mark.parametrize(
+    "value", [np.arange(12, dtype=np.uint8).reshape(3, 4), np.float32(0.5), np.array(["a", None], object), np.eye(2).T]
+)
+def test_numpy_arrays_are_read(tmp_path: Path, value: Any, protocol: int) -> None:
+    (tmp_path / "x.pkl").write_bytes(pickle.dumps([value], protocol=protocol))
+
+    assert np.array_equal(pickles.load(tmp_path / "x.pkl")[0], value)
+
+
+def test_arrays_written_by_either_numpy_are_read(tmp_path: Path) -> None:
+    raw = pickle.dumps(np.arange(3), protocol=2)
+    old = raw.replace(b"numpy._core.", b"numpy.core.")
+    new = raw.replace(b"numpy.core.", b"numpy._core.")
+
+    for number, content in enumerate((old, new)):
+        (tmp_path / f"{number}.pkl").write_bytes(content)
+        assert pickles.load(tmp_path / f"{number}.pkl").tolist() == [0, 1, 2]
+
+
+def test_ordered_dicts_are_read(tmp_path: Path) -> None:
+    (tmp_path / "x.pkl").write_bytes(pickle.dumps(collections.OrderedDict(a=1)))
+
+    assert pickles.load(tmp_path / "x.pkl") == {"a": 1}
+
+
+class Touch:
+    """Runs a program when it is unpickled."""
+
+    def __init__(self, target: Path) -> None:
+        self.target = target
+
+    def __reduce__(self) -> Any:
+        return (subprocess.call, (["touch", str(self.target)],))
+
+
+def test_a_malicious_pickle_is_refused_by_name_and_does_not_run(tmp_path: Path) -> None:
+    (tmp_path / "x.pkl").write_bytes(pickle.dumps([{"question": Touch(tmp_path / "ran")}]))
+
+    with pytest.raises(DataError, match=r"subprocess\.call"):
+        pickles.load(tmp_path / "x.pkl")
+
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [
+        ("os", "system"),
+        ("posix", "system"),
+        ("builtins", "eval"),
+        ("builtins", "getattr"),
+        ("builtins", "__import__"),
+        ("numpy", "load"),
+        ("numpy", "ndarray.__reduce__"),
+        ("numpy.core.multiarray", "frombuffer"),
+        ("numpy.testing._private.utils", "runstring"),
+        ("collections", "namedtuple"),
+        ("_codecs", "decode"),
+        ("copyreg", "_reconstructor"),
+        ("torch.storage", "_load_from_bytes"),
+    ],
+)
+@pytest.mark.parametrize("protocol", [0, 4])
+def test_every_other_name_is_refused(tmp_path: Path, module: str, name: str, protocol: int) -> None:
+    if protocol == 0:
+        raw = f"c{module}\n{name}\n.".encode()
+    else:
+        texts = b"".join(b"\x8c" + bytes([len(text)]) + text.encode() for text in (module, name))
+        raw = b"\x80\x04" + texts + b"\x93."
+    pickletools.dis(raw, out=io.StringIO())  # it is a pickle
+    (tmp_path / "x.pkl").write_bytes(raw)
+
+    with pytest.raises(DataError) as caught:
+        pickles.load(tmp_path / "x.pkl")
+
+    assert f"{module}.{name}" in str(caught.value)
+
+
+@given(st.binary(max_size=60))
+def test_any_bytes_are_a_value_or_a_data_error(tmp_path_factory: pytest.TempPathFactory, raw: bytes) -> None:
+    path = tmp_path_factory.getbasetemp() / "fuzz.pkl"
+    path.write_bytes(raw)
+    try:
+        pickles.load(path)
+    except DataError:
+        pass
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"no such file.*x\.pkl"):
+        pickles.load(tmp_path / "x.pkl")
