@@ -227,7 +227,6 @@ def _save_qwen_model(folder: Path, config: Any, seed: int) -> Path:
     t: Any = require("transformers", extra="local")
     tokenizer = json.loads((folder / "tokenizer_config.json").read_text("utf-8"))
     ids = {token["content"]: int(number) for number, token in tokenizer["added_tokens_decoder"].items()}
-    # Tied embeddings, as in the published 3B, keep Rex-Omni's 152 thousand tokens small.
     config = config or t.Qwen2_5_VLConfig(
         text_config={
             "vocab_size": max(ids.values()) + 3,
@@ -254,7 +253,7 @@ def _save_qwen_model(folder: Path, config: Any, seed: int) -> Path:
             "window_size": 112,
             "fullatt_block_indexes": [1],
         },
-        tie_word_embeddings=True,
+        tie_word_embeddings=len(ids) > 1000,  # Rex-Omni's 152 thousand tokens are tied in the published model too
         image_token_id=ids["<|image_pad|>"],
         video_token_id=ids["<|video_pad|>"],
         vision_start_token_id=ids["<|vision_start|>"],

@@ -1,0 +1,63 @@
+"""Tiny checkpoints of the real architectures, saved once a session and loaded as users load theirs."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+
+def _torch_ready() -> None:
+    torch = pytest.importorskip("torch")
+    if importlib.util.find_spec("torchvision") is not None:
+        _declare_torchvision_operators(torch)
+    logging = pytest.importorskip("transformers.utils.logging")
+    logging.disable_progress_bar()
+
+
+def _declare_torchvision_operators(torch: Any) -> None:
+    """Beside a CPU build of torch, torchvision of the index misses its compiled half and fails to import."""
+    try:
+        import torchvision  # noqa: F401
+    except RuntimeError:
+        for name in ("nms", "qnms"):
+            torch.library.define(f"torchvision::{name}", "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+
+
+def _fixture(name: str, **options: Any) -> Callable[..., Path]:
+    @pytest.fixture(scope="session")
+    def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+        _torch_ready()
+        from a4agent.experts import random_weights
+
+        label = "-".join([name, *options])
+        return getattr(random_weights, f"save_{name}")(tmp_path_factory.mktemp("checkpoints") / label, **options)
+
+    return checkpoint
+
+
+tiny_qwen_vl = _fixture("qwen_vl")
+tiny_rex_omni = _fixture("rex_omni")
+tiny_sam2 = _fixture("sam2")
+tiny_sam3 = _fixture("sam3")
+tiny_sam3_tracker = _fixture("sam3_tracker")
+tiny_grounding_dino = _fixture("grounding_dino")
+tiny_mm_grounding_dino = _fixture("grounding_dino", mm=True)
+tiny_owlv2 = _fixture("owlv2")
+tiny_qwen_image_edit = _fixture("qwen_image_edit")
+
+
+@pytest.fixture
+def noise() -> Callable[..., Image.Image]:
+    """noise(width, height, seed): an RGB picture that no other seed gives."""
+
+    def picture(width: int, height: int, seed: int = 0) -> Image.Image:
+        pixels = np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
+        return Image.fromarray(pixels)
+
+    return picture
