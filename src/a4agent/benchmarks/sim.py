@@ -17,9 +17,10 @@ import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
+from pydantic import BaseModel, Field, ValidationError
 
 from a4agent.affordance import Query
 from a4agent.benchmarks import files
@@ -29,11 +30,29 @@ from a4agent.errors import DataError
 DEFAULT_N, DEFAULT_SEED = 200, 0
 SOURCE = "a4 data make sim --out DIR"
 SIZES = ((0.003, "below 0.3 %"), (0.01, "0.3 to 1 %"), (0.04, "1 to 4 %"), (1.0, "above 4 %"))
-NEEDED = set(
-    "id image mask instruction object_name object_part affordance direct choose regions region_numbers "
-    "visible_share picture_share depth depth_scale camera_matrix camera_pose".split()
-)
 VISIBLE = ((0.7, "below 70 %"), (0.95, "70 to 95 %"), (1.0, "above 95 %"))
+
+
+class Row(BaseModel):
+    """A row of `samples.jsonl`, as far as it is read here; `a4agent.sim.make` says what the values mean."""
+
+    id: str
+    image: str
+    mask: str
+    instruction: str
+    object_name: str
+    object_part: str
+    affordance: str
+    direct: bool
+    choose: Literal["any", "all"]
+    regions: str
+    region_numbers: list[int]
+    visible_share: float = Field(ge=0, le=1)
+    picture_share: float = Field(ge=0, le=1)
+    depth: str
+    depth_scale: float
+    camera_matrix: list[list[float]]
+    camera_pose: list[list[float]]
 
 
 def create(path: str | Path | None = None) -> Benchmark:
@@ -52,10 +71,10 @@ def create(path: str | Path | None = None) -> Benchmark:
 
     if about.get("format") != FORMAT:
         raise DataError(f"{str(root)!r} has format {about.get('format')!r}, this version reads {FORMAT}; {SOURCE}")
-    rows = [_checked(row, number, root) for number, row in files.read_jsonl(root / "samples.jsonl")]
+    rows = read_rows(root)
     if len(rows) != about.get("n"):
         raise DataError(f"{str(root)!r} has {len(rows)} of {about.get('n')} samples; make it anew: {SOURCE}")
-    named = [row[key] for row in rows for key in ("image", "mask", "regions")]
+    named = [name for row in rows for name in (row.image, row.mask, row.regions)]
     return Benchmark(
         name="sim",
         licence="rendered from MIT and Apache-2.0 assets",
@@ -67,6 +86,22 @@ def create(path: str | Path | None = None) -> Benchmark:
         options={"split": about.get("split"), "seed": about.get("seed")},
         revision=f"format {FORMAT}",
     )
+
+
+def read_rows(root: Path) -> list[Row]:
+    """The rows of the set in the folder `root`.
+
+    Raises:
+        DataError: a row that `a4 data make sim` would not write; says which and what is wrong.
+    """
+    rows: list[Row] = []
+    for number, row in files.read_jsonl(root / "samples.jsonl"):
+        try:
+            rows.append(Row.model_validate(row))
+        except ValidationError as error:
+            wrong = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
+            raise DataError(f"line {number} of {str(root / 'samples.jsonl')!r}: {wrong}; {SOURCE}") from error
+    return rows
 
 
 def default_set() -> Path:
@@ -117,51 +152,44 @@ class Geometry:
     pose: np.ndarray
 
 
-def read_geometry(root: Path, row: dict[str, Any]) -> Geometry:
+def read_geometry(root: Path, row: Row) -> Geometry:
     """Depth and camera of one row of `samples.jsonl`.
 
     Raises:
         DataError: the depth picture is missing or cannot be read.
     """
-    depth = _pixels(root, row["depth"]).astype(np.float32) * np.float32(row["depth_scale"])
-    return Geometry(depth, np.array(row["camera_matrix"], np.float64), np.array(row["camera_pose"], np.float64))
+    depth = _pixels(root, row.depth).astype(np.float32) * np.float32(row.depth_scale)
+    return Geometry(depth, np.array(row.camera_matrix, np.float64), np.array(row.camera_pose, np.float64))
 
 
-def read_regions(root: Path, row: dict[str, Any]) -> tuple[np.ndarray, ...]:
+def read_regions(root: Path, row: Row) -> tuple[np.ndarray, ...]:
     """The mask (H, W) bool of each part that the row asks for and that is seen, in the order of its `parts`.
 
     Raises:
         DataError: the picture of the regions is missing or cannot be read.
     """
-    numbers = _pixels(root, row["regions"])
-    return tuple(numbers == number for number in row["region_numbers"])
+    numbers = _pixels(root, row.regions)
+    return tuple(numbers == number for number in row.region_numbers)
 
 
-def _checked(row: dict[str, Any], number: int, root: Path) -> dict[str, Any]:
-    missing = sorted(NEEDED - row.keys())
-    if missing:
-        raise DataError(f"line {number} of {str(root / 'samples.jsonl')!r} lacks {', '.join(missing)}; {SOURCE}")
-    return row
-
-
-def _sample(root: Path, row: dict[str, Any]) -> Sample:
-    several = row["choose"] == "any" and len(row["region_numbers"]) > 1
+def _sample(root: Path, row: Row) -> Sample:
+    several = row.choose == "any" and len(row.region_numbers) > 1
     truth = Truth(
-        load_mask=partial(_mask, root, row["mask"]),
-        object_name=row["object_name"],
-        object_part=row["object_part"],
-        affordance=row["affordance"],
-        category=row["object_name"],
+        load_mask=partial(_mask, root, row.mask),
+        object_name=row.object_name,
+        object_part=row.object_part,
+        affordance=row.affordance,
+        category=row.object_name,
         tags={
-            "object": row["object_name"],
-            "affordance": row["affordance"],
-            "directness": "direct" if row["direct"] else "indirect",
-            "visible": _bin(row["visible_share"], VISIBLE),
-            "size": _bin(row["picture_share"], SIZES),
+            "object": row.object_name,
+            "affordance": row.affordance,
+            "directness": "direct" if row.direct else "indirect",
+            "visible": _bin(row.visible_share, VISIBLE),
+            "size": _bin(row.picture_share, SIZES),
         },
         load_alternatives=partial(read_regions, root, row) if several else None,
     )
-    return Sample(Query(row["id"], files.confined(root, row["image"]), row["instruction"]), truth)
+    return Sample(Query(row.id, files.confined(root, row.image), row.instruction), truth)
 
 
 def _mask(root: Path, name: str) -> np.ndarray:
