@@ -88,8 +88,7 @@ class Cache:
             return None
         answer = entries.unpack(data)
         if answer is None:
-            with suppress(OSError):
-                path.unlink()
+            self.remove(key)
             return None
         with suppress(OSError):
             os.utime(path)
@@ -118,6 +117,11 @@ class Cache:
                 log.warning("answers cannot be kept in the cache at %s: %s", self.folder, error)
             return
         self._grow(len(data))
+
+    def remove(self, key: str) -> None:
+        """Forget one answer."""
+        with suppress(OSError):
+            self._path(key).unlink()
 
     def info(self) -> CacheInfo:
         """Count the answers."""

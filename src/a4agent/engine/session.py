@@ -45,6 +45,7 @@ class _Sample(threading.local):
 
     seconds_left: float | None = None
     image: Any = None
+    chats: tuple[str, ...] = ()
 
 
 class Session:
@@ -74,6 +75,7 @@ class Session:
             A4Error: what would go wrong with every other sample as well (`error.fatal`).
         """
         self.sample.seconds_left = self.settings.max_sample_seconds
+        self.sample.chats = ()
         try:
             answer = self._agent.predict(query.image, query.instruction, given=given)
         except Exception as error:
@@ -86,6 +88,8 @@ class Session:
             if self._segmenter and self.sample.image is not None:
                 self._segmenter.dispatcher.forget(self.sample.image)
             self.sample.image = None
+        if answer.status == "invalid" and self.settings.cache == "write":
+            self._forget_chats()
         answer = replace(answer, id=query.id)
         self.stats.count_sample(answer)
         return answer
@@ -100,6 +104,12 @@ class Session:
         self.sample.image = request.images[0] if isinstance(request, ChatRequest) else request.image
         if not isinstance(request, SegmentRequest):
             self._segmenter.dispatcher.prepare(self.sample.image)
+
+    def _forget_chats(self) -> None:
+        """Of a sample that came to nothing because of what a model said, keep no saying: the next run may do better."""
+        for key in self.sample.chats:
+            if self.cache is not None:
+                self.cache.remove(key)
 
     def close(self) -> None:
         """End the threads that are idle; calls that are being made end on their own."""
@@ -152,6 +162,8 @@ class QueuedExpert:
         if cache is None:
             return self._asked(request)
         key = self._session.keys.of(self.expert, request)
+        if isinstance(request, ChatRequest):
+            self._session.sample.chats += (key,)
         while True:
             mine: Future[Answer | A4Error] = Future()
             with self._lock:
