@@ -36,24 +36,26 @@ def test_batched_answers_equal_single_ones(vlm, noise):
     assert [answer.text for answer in together] == [answer.text for answer in alone]
     assert [answer.finish_reason for answer in together] == [answer.finish_reason for answer in alone]
     assert [answer.usage.tokens_in for answer in together] == [answer.usage.tokens_in for answer in alone]
-    assert [answer.usage.tokens_out for answer in together] == [14, 9, 12, 20, 14]
+    lengths = [answer.usage.tokens_out for answer in together]
+    assert lengths == [answer.usage.tokens_out for answer in alone]
+    assert len(set(lengths)) > 1  # rows of a batch end at different times
     assert len({answer.text for answer in together}) > 1
+    for request, answer in zip(asked, together, strict=True):
+        assert (answer.usage.tokens_out == request.max_tokens) == (answer.finish_reason == "length")
 
 
-def test_an_answer_cut_off_by_the_limit_says_so(vlm, noise):
-    answer = vlm.chat([requests(noise)[0]])[0]
-    assert answer.finish_reason == "length"
-
-
-def test_an_answer_ends_at_the_end_token(vlm, noise, monkeypatch):
-    request = requests(noise)[0]
-    long = vlm.chat([request])[0]
-    ids = vlm._model.generate([transformers_vlm.Turn(request.images, request.text)], [14])[0].ids
-    monkeypatch.setattr(vlm._model.model.generation_config, "eos_token_id", [ids[6]])
-    short = vlm.chat([request])[0]
-    assert short.finish_reason == "stop"
-    assert short.usage.tokens_out == ids.index(ids[6])
-    assert long.text.startswith(short.text)
+def test_an_answer_ends_at_the_end_token_or_says_that_it_was_cut_off(vlm, noise, monkeypatch):
+    picture = noise(160, 120)
+    vlm.load()
+    monkeypatch.setattr(vlm._model.model.generation_config, "eos_token_id", None)
+    endless = vlm.chat([ChatRequest(images=(picture,), text="What is this?", max_tokens=14)])[0]
+    assert (endless.finish_reason, endless.usage.tokens_out) == ("length", 14)
+    ids = vlm._model.generate([transformers_vlm.Turn((picture,), "What is this?")], [14])[0].ids
+    monkeypatch.setattr(vlm._model.model.generation_config, "eos_token_id", [ids[6], 10**6])
+    ended = vlm.chat([ChatRequest(images=(picture,), text="What is this?", max_tokens=14)])[0]
+    assert ended.finish_reason == "stop"
+    assert ended.usage.tokens_out == ids.index(ids[6])
+    assert ended.text == vlm._model.decode(ids[: ids.index(ids[6])]).strip()
 
 
 def test_image_tokens_are_marked_and_padding_is_on_the_left(vlm, noise, monkeypatch):
@@ -129,7 +131,7 @@ def test_max_pixels_bounds_the_picture(tiny_qwen_vl, noise):
 
 def test_half_precision(tiny_qwen_vl, noise):
     vlm = transformers_vlm.create(str(tiny_qwen_vl), "vlm", dtype="bfloat16")
-    assert vlm.chat(requests(noise)[:1])[0].usage.tokens_out == 14
+    assert vlm.chat(requests(noise)[:1])[0].usage.tokens_out > 0
     assert vlm._model.model.dtype == torch.bfloat16
 
 
