@@ -1,8 +1,8 @@
 """Colour as the offline experts compare it: Lab with its lightness turned down, so that shading counts less than hue.
 
-    to_lab(rgb (H, W, 3) uint8) -> (H, W, 3) float32
-    dominant(colours (n, 3)) -> (3,), the colour most of them have
-    unlike(lab, colours) -> (H, W) distance to the nearest of some background colours, lenient to shadows
+to_lab(rgb (H, W, 3) uint8) -> (H, W, 3) float32
+dominant(colours (n, 3)) -> (3,), the colour most of them have
+unlike(lab, colours) -> (H, W) distance to the nearest of some background colours, lenient to shadows
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from a4agent.errors import require
 
-WEIGHTS = np.float32([0.7, 1.0, 1.0])
+WEIGHTS = np.array([0.7, 1.0, 1.0], np.float32)
 SAME = 14.0
 """Two colours nearer than this are shades of one material."""
 
@@ -28,7 +28,7 @@ def to_lab(rgb: np.ndarray, blur: float = 0.0) -> np.ndarray:
 
 def dominant(colours: np.ndarray) -> np.ndarray:
     """The mean (3,) of the largest cluster of `colours` (n, 3), n > 0."""
-    cells = ((colours + 128.0) / np.float32([7, 6, 6])).astype(np.int64)
+    cells = ((colours + 128.0) / np.array([7, 6, 6], np.float32)).astype(np.int64)
     keys = (cells[:, 0] * 64 + cells[:, 1]) * 64 + cells[:, 2]
     _, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
     mean = colours[inverse.ravel() == counts.argmax()].mean(0)

@@ -110,7 +110,7 @@ class Knowledge:
 @lru_cache(maxsize=1)
 def knowledge() -> Knowledge:
     """The knowledge base, read once."""
-    table = tomllib.loads((resources.files(__package__) / "knowledge.toml").read_text(encoding="utf-8"))
+    table = tomllib.loads((resources.files("a4agent.experts.offline") / "knowledge.toml").read_text(encoding="utf-8"))
     objects = {name: _thing(name, row, table) for name, row in table["objects"].items()}
     object_index = {stem(name): thing.name for thing in objects.values() for name in (thing.name, *thing.also)}
     part_names = {name for thing in objects.values() for part in thing.parts for name in (part.name, *part.also)}

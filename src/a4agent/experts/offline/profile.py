@@ -1,7 +1,7 @@
 """An object seen along its longest axis: how wide it is and what colour it has at each step from end to end.
 
     profile = Profile.of(silhouette)        # 64 steps
-    profile.cut(Layout(grip=0.65, width=1.9)) -> (grip, work), two masks (h, w) bool
+    profile.cut(Layout(grip=0.65, width=1.9)) -> (0.34, 1.0), (0.0, 0.34): grip and working end
 
 Most tools are a grip and a working end. Where one becomes the other is where width and colour change
 most, weighed against what is known of such tools: a `Layout`. Both directions compete.
@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 STEPS = 64
+Span = tuple[float, float]
+"""From where to where, as shares of the object's length."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,8 @@ class Profile:
         """The slice (h, w) bool of the object from `start` to `end`, shares of its length."""
         return self.mask & (self.positions >= start) & (self.positions <= end)
 
-    def cut(self, layout: Layout) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Where the grip lies and where the working end, as (start, end) shares of the length."""
+    def cut(self, layout: Layout) -> tuple[Span, Span]:
+        """Where the grip lies and where the working end."""
         costs = [self._costs(layout, flipped) for flipped in (False, True)]
         flipped = bool(min(costs[1]) < min(costs[0]))
         share = (np.argmin(costs[flipped]) + _FIRST) / STEPS

@@ -73,6 +73,6 @@ def edit_prompt(decision: Decision) -> str:
         )
     return (
         f"Edit the input image to show a person's hand at {decision.phrase}, ready to {decision.action}: "
-        f"the contact is on the {decision.part_name}, and the {decision.object_name} keeps its shape, texture and place, "
-        "photorealistic, seamless inpainting, keep others unchanged"
+        f"the contact is on the {decision.part_name}, and the {decision.object_name} keeps its shape, "
+        "texture and place, photorealistic, seamless inpainting, keep others unchanged"
     )

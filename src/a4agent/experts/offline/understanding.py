@@ -33,23 +33,144 @@ class Decision:
         return f"the {self.part_name} of the {self.object_name}" if self.part_name else ""
 
 
-_NOT_MEANT = re.compile(r"\b(?:without|instead of|rather than|but not|not by|and not|don't|do not|avoid(?:ing)?)\b[^,;.?!]*")
+_NOT_MEANT = re.compile(
+    r"\b(?:without|instead of|rather than|but not|not by|and not|don't|do not|avoid(?:ing)?)\b[^,;.?!]*"
+)
 _SAFELY = re.compile(r"\b(?:burn|hurt|cut(?:ting)?|injur|scald|prick)\w*\b")
 _HOLDING = re.compile(
     r"\b(?:where|which|what|how)\b[^?.!]*\b(?:hold|grip|grasp|grab|touch|pick|take|carry|lift|hand|fingers?)\b"
     r"|\b(?:hand|fingers?|palm|grip|grasp|hold)\b[^?.!]*\b(?:go|goes|belongs?|rests?|wraps?)\b"
 )
-_PURPOSE = re.compile(r"\b(?:to|so that|so i can|in order to|while|when|before|and then)\b")
 _BEFORE_VERBS = {"to", "can", "i", "you", "and", "please", "could", "will", "would", "should", "must", "let's", "then"}
-_ENGLISH = set(
-    "the a an i it my me you your to of with in on for from into and is are this that what which where how can should "
-    "part want need would like some at by use do does put up off out get without we them please".split()
+_ENGLISH = frozenset(
+    [
+        "the",
+        "a",
+        "an",
+        "i",
+        "it",
+        "my",
+        "me",
+        "you",
+        "your",
+        "to",
+        "of",
+        "with",
+        "in",
+        "on",
+        "for",
+        "from",
+        "into",
+        "and",
+        "is",
+        "are",
+        "this",
+        "that",
+        "what",
+        "which",
+        "where",
+        "how",
+        "can",
+        "should",
+        "part",
+        "want",
+        "need",
+        "would",
+        "like",
+        "some",
+        "at",
+        "by",
+        "use",
+        "do",
+        "does",
+        "put",
+        "up",
+        "off",
+        "out",
+        "get",
+        "without",
+        "we",
+        "them",
+        "please",
+    ]
 )
-_FOREIGN = set(
-    "le la les un une des du et est pour avec sur dans der die das den dem ein eine einen und ist mit zum zur auf el los "
-    "las una unos para con por del en il lo gli uno che di per o os um uma com em na no ao de het een van met voor op i w "
-    "na z do się jest og att och med som på det en ett ja on".split()
-) - _ENGLISH
+_FOREIGN = frozenset(
+    [
+        "le",
+        "la",
+        "les",
+        "un",
+        "une",
+        "des",
+        "du",
+        "et",
+        "est",
+        "pour",
+        "avec",
+        "sur",
+        "dans",
+        "der",
+        "die",
+        "das",
+        "den",
+        "dem",
+        "ein",
+        "eine",
+        "einen",
+        "und",
+        "ist",
+        "mit",
+        "zum",
+        "zur",
+        "auf",
+        "el",
+        "los",
+        "las",
+        "una",
+        "unos",
+        "para",
+        "con",
+        "por",
+        "del",
+        "en",
+        "il",
+        "lo",
+        "gli",
+        "uno",
+        "che",
+        "di",
+        "per",
+        "o",
+        "os",
+        "um",
+        "uma",
+        "com",
+        "em",
+        "na",
+        "no",
+        "ao",
+        "de",
+        "het",
+        "een",
+        "van",
+        "met",
+        "voor",
+        "op",
+        "w",
+        "z",
+        "się",
+        "jest",
+        "og",
+        "att",
+        "och",
+        "med",
+        "som",
+        "på",
+        "det",
+        "ett",
+        "ja",
+    ]
+)
 
 
 def understand(instruction: str) -> Decision:
@@ -96,7 +217,11 @@ def _named_part(
             continue  # "mug" is no part, and the "paper cup" is no cup of something
         before = said[max(0, mention.start - 2) : mention.start]
         after = said[mention.end : mention.end + 2]
-        of = [o for o in objects if o.start >= mention.end and o.start - mention.end <= 3 and "of" in said[mention.end : o.start]]
+        of = [
+            o
+            for o in objects
+            if o.start >= mention.end and o.start - mention.end <= 3 and "of" in said[mention.end : o.start]
+        ]
         on = [o for o in objects if o.start >= mention.end and o.start - mention.end <= 3
               and {"on", "at", "in"} & set(said[mention.end : o.start])]  # fmt: skip
         owner = [o for o in objects if o.end == mention.start]
@@ -122,14 +247,16 @@ def _named_part(
             continue
         spoken = " ".join(said[mention.start : mention.end])
         return Decision(thing.name, spoken, f"The instruction itself names the {spoken} of the {thing.name}.")
-    unknown = re.search(r"\bthe ([a-z]+(?: [a-z]+)?) of (?:the|this|a|my|that) ([a-z-]+(?: [a-z-]+)?)\s*[.?!]*$", " ".join(said))
+    unknown = re.search(
+        r"\bthe ([a-z]+(?: [a-z]+)?) of (?:the|this|a|my|that) ([a-z-]+(?: [a-z-]+)?)\s*[.?!]*$", " ".join(said)
+    )
     if unknown and not objects and stem(unknown[1]) in know.part_index:
         return Decision(unknown[2], unknown[1], f"The instruction itself names the {unknown[1]} of the {unknown[2]}.")
     return None
 
 
 def _stands_alone(name: str, know: Knowledge) -> bool:
-    """Whether a word is first of all the name of a part ("blade"), and not also of something that is worked on ("nut")."""
+    """Whether a word is first of all the name of a part ("blade"), and not of a workpiece ("nut")."""
     first_names = {part.name for thing in know.objects.values() for part in thing.parts}
     return name in first_names and stem(name) not in know.theme_index
 
@@ -142,7 +269,7 @@ def _is_verb(said: list[str], mention: Mention[Any], know: Knowledge) -> bool:
 
 
 def _verbs(said: list[str], objects: list[Mention[Thing]], know: Knowledge) -> list[Mention[tuple[str, ...]]]:
-    """The verbs, those inside an object's name ("measuring cup") and nouns left out; the wish comes before its purpose."""
+    """The verbs in order, without nouns and those inside an object's name ("measuring cup")."""
     found: list[Mention[tuple[str, ...]]] = []
     for mention in know.find_actions(said):
         if any(o.start <= mention.start < o.end for o in objects) and mention.start > 0:
@@ -162,7 +289,11 @@ def _with_objects(
     instruction: str,
 ) -> Decision:
     """One of the named objects, or the tool that is used on it."""
-    tools = [o for o in objects if o.start and {"with", "using", "use", "from", "via"} & set(said[max(0, o.start - 3) : o.start])]
+    tools = [
+        o
+        for o in objects
+        if o.start and {"with", "using", "use", "from", "via"} & set(said[max(0, o.start - 3) : o.start])
+    ]
     rest = [o for o in objects if o not in tools]
     ordered = [mention.value for mention in tools + rest]
     if holding:
@@ -200,9 +331,7 @@ def _does(thing: Thing, actions: tuple[str, ...]) -> bool:
     return any(thing.part_for(action) for action in actions)
 
 
-def _reached_for(
-    said: list[str], verbs: list[Mention[tuple[str, ...]]], know: Knowledge
-) -> tuple[Thing, str] | None:
+def _reached_for(said: list[str], verbs: list[Mention[tuple[str, ...]]], know: Knowledge) -> tuple[Thing, str] | None:
     """The tool for what is to be done: by verb and theme, then by the verb alone."""
     themes = know.find_themes(said)
     for verb in verbs:

@@ -1,0 +1,70 @@
+"""Small things on a larger one: a refrigerator's handle, a kettle's switch, a remote control's buttons.
+
+    found = list(details(mask, lab))
+    longest(found) -> (h, w) bool or None       a bar
+    most_compact(found) -> (h, w) bool or None  a knob, a button
+
+They are pieces inside the outline that differ from the material around them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from a4agent.errors import require
+from a4agent.experts.offline.colour import dominant
+
+
+@dataclass(frozen=True, eq=False)
+class Detail:
+    """`share` of the object's area, `elongation` of the box around it, `contrast` to the object's material."""
+
+    mask: np.ndarray
+    share: float
+    elongation: float
+    fullness: float
+    contrast: float
+
+
+def longest(found: Sequence[Detail]) -> np.ndarray | None:
+    """The detail that is most like a bar."""
+    bars = [detail for detail in found if detail.elongation > 2.2 and detail.share < 0.2]
+    best = max(bars, key=lambda d: min(d.elongation, 8) * d.fullness * d.contrast * np.sqrt(d.share), default=None)
+    return best.mask if best else most_compact(found)
+
+
+def most_compact(found: Sequence[Detail]) -> np.ndarray | None:
+    """The detail that is most like a knob or button."""
+    spots = [detail for detail in found if detail.share < 0.15]
+    best = max(spots, key=lambda d: d.fullness * d.contrast * np.sqrt(d.share) / d.elongation, default=None)
+    return best.mask if best else None
+
+
+def details(mask: np.ndarray, lab: np.ndarray) -> Iterator[Detail]:
+    """The details of an object (h, w) bool with the colours `lab` (h, w, 3), specks and large areas left out."""
+    cv2 = require("cv2", extra="offline")
+    area = int(mask.sum())
+    inner = cv2.erode(np.pad(mask, 1).astype(np.uint8), np.ones((3, 3), np.uint8), iterations=3)[1:-1, 1:-1] > 0
+    if inner.sum() < 50:
+        return
+    # The material around each place, so that a door's shading is no detail.
+    wide = max(5, int(0.12 * np.sqrt(area)))
+    weight = cv2.GaussianBlur(inner.astype(np.float32), (0, 0), wide) + 1e-6
+    around = cv2.GaussianBlur(lab * inner[..., None], (0, 0), wide) / weight[..., None]
+    distance = np.minimum(
+        np.linalg.norm(lab - around, axis=2), np.linalg.norm(lab - dominant(lab[inner]), axis=2) + 4.0
+    )
+    odd = ((distance > max(7.0, float(np.percentile(distance[inner], 80)))) & inner).astype(np.uint8)
+    odd = cv2.morphologyEx(odd, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(odd)
+    for label in range(1, count):
+        size = stats[label, cv2.CC_STAT_AREA]
+        if size < max(8, 0.001 * area) or size > 0.4 * area:
+            continue
+        piece = labels == label
+        (_, sides, _) = cv2.minAreaRect(np.argwhere(piece)[:, ::-1].astype(np.float32))
+        long, short = max(sides) + 1, min(sides) + 1
+        yield Detail(piece, size / area, long / short, min(1.0, size / (long * short)), float(distance[piece].mean()))
