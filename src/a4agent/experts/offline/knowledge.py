@@ -11,19 +11,13 @@ Words are compared without their endings ("cutting", "cuts" and "cut" are one ve
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import resources
 from typing import Any, Generic, TypeVar
 
+from a4agent.data_files import read_toml
 from a4agent.experts.offline.profile import Layout
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 T = TypeVar("T")
 
@@ -110,7 +104,7 @@ class Knowledge:
 @lru_cache(maxsize=1)
 def knowledge() -> Knowledge:
     """The knowledge base, read once."""
-    table = tomllib.loads((resources.files("a4agent.experts.offline") / "knowledge.toml").read_text(encoding="utf-8"))
+    table = read_toml("a4agent.experts.offline", "knowledge.toml")
     objects = {name: _thing(name, row, table) for name, row in table["objects"].items()}
     object_index = {stem(name): thing.name for thing in objects.values() for name in (thing.name, *thing.also)}
     part_names = {name for thing in objects.values() for part in thing.parts for name in (part.name, *part.also)}

@@ -15,6 +15,7 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
+from a4agent.experts.offline.english import is_english
 from a4agent.experts.offline.knowledge import Knowledge, Mention, Part, Thing, knowledge, stem, words
 
 
@@ -42,140 +43,11 @@ _HOLDING = re.compile(
     r"|\b(?:hand|fingers?|palm|grip|grasp|hold)\b[^?.!]*\b(?:go|goes|belongs?|rests?|wraps?)\b"
 )
 _BEFORE_VERBS = {"to", "can", "i", "you", "and", "please", "could", "will", "would", "should", "must", "let's", "then"}
-_ENGLISH = frozenset(
-    [
-        "the",
-        "a",
-        "an",
-        "i",
-        "it",
-        "my",
-        "me",
-        "you",
-        "your",
-        "to",
-        "of",
-        "with",
-        "in",
-        "on",
-        "for",
-        "from",
-        "into",
-        "and",
-        "is",
-        "are",
-        "this",
-        "that",
-        "what",
-        "which",
-        "where",
-        "how",
-        "can",
-        "should",
-        "part",
-        "want",
-        "need",
-        "would",
-        "like",
-        "some",
-        "at",
-        "by",
-        "use",
-        "do",
-        "does",
-        "put",
-        "up",
-        "off",
-        "out",
-        "get",
-        "without",
-        "we",
-        "them",
-        "please",
-    ]
-)
-_FOREIGN = frozenset(
-    [
-        "le",
-        "la",
-        "les",
-        "un",
-        "une",
-        "des",
-        "du",
-        "et",
-        "est",
-        "pour",
-        "avec",
-        "sur",
-        "dans",
-        "der",
-        "die",
-        "das",
-        "den",
-        "dem",
-        "ein",
-        "eine",
-        "einen",
-        "und",
-        "ist",
-        "mit",
-        "zum",
-        "zur",
-        "auf",
-        "el",
-        "los",
-        "las",
-        "una",
-        "unos",
-        "para",
-        "con",
-        "por",
-        "del",
-        "en",
-        "il",
-        "lo",
-        "gli",
-        "uno",
-        "che",
-        "di",
-        "per",
-        "o",
-        "os",
-        "um",
-        "uma",
-        "com",
-        "em",
-        "na",
-        "no",
-        "ao",
-        "de",
-        "het",
-        "een",
-        "van",
-        "met",
-        "voor",
-        "op",
-        "w",
-        "z",
-        "się",
-        "jest",
-        "og",
-        "att",
-        "och",
-        "med",
-        "som",
-        "på",
-        "det",
-        "ett",
-        "ja",
-    ]
-)
 
 
 def understand(instruction: str) -> Decision:
     """Decide, or say why not. The same instruction always gets the same answer."""
-    if not _is_english(instruction):
+    if not is_english(instruction):
         return Decision(None, None, "I only know English, and this instruction does not look like it.")
     know = knowledge()
     text = instruction.lower().replace("’", "'")
@@ -362,12 +234,3 @@ def _because(thing: Thing, part: Part, action: str, why: str) -> Decision:
 
 def _unknown(instruction: str) -> Decision:
     return Decision(None, None, f"I do not know which object and part are meant by {instruction.strip()!r}.")
-
-
-def _is_english(instruction: str) -> bool:
-    letters = [c for c in instruction if c.isalpha()]
-    if not letters or sum(c.isascii() for c in letters) < 0.8 * len(letters):
-        return False
-    listed = words(instruction)
-    foreign = sum(word in _FOREIGN for word in listed)
-    return foreign <= sum(word in _ENGLISH for word in listed)
