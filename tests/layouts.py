@@ -136,7 +136,13 @@ def write_coco(tmp_path: Path) -> Path:
         "images": [{"id": 4, "file_name": "one.jpg", "width": 12, "height": 8}],
         "categories": [{"id": 1, "name": SECRET}],
         "annotations": [
-            {"id": 1, "image_id": 4, "category_id": 1, "caption": "lift it", "segmentation": [[0, 0, 4, 0, 4, 4, 0, 4]]},
+            {
+                "id": 1,
+                "image_id": 4,
+                "category_id": 1,
+                "caption": "lift it",
+                "segmentation": [[0, 0, 4, 0, 4, 4, 0, 4]],
+            },
             {
                 "id": 2,
                 "image_id": 4,

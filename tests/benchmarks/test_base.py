@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from layouts import SECRET
 
 from a4agent.affordance import Query
 from a4agent.benchmarks.registry import load
+from layouts import SECRET
 
 LAYOUTS = [
     ("folder", "folder_path", {}, 3),

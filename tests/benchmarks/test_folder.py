@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from layouts import SECRET, boxed
 
 from a4agent import rle
 from a4agent.benchmarks.folder import create
 from a4agent.errors import DataError
+from layouts import SECRET, boxed
 
 
 def write(folder: Path, *rows: dict[str, Any]) -> Path:

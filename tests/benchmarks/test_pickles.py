@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import contextlib
 import io
 import pickle
 import pickletools
@@ -23,10 +24,8 @@ PLAIN = [{"frame_path": "./data/x.jpg", "n": 3, "f": 0.5, "b": b"raw", "none": N
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_plain_data_is_read_in_every_protocol(tmp_path: Path, protocol: int) -> None:
-    if protocol < 4:
-        plain = [{key: value for key, value in PLAIN[0].items() if key not in ("b", "s")}]
-    else:
-        plain = PLAIN
+    later = ("b", "s") if protocol < 4 else ()  # bytes and sets: earlier protocols build them by calls
+    plain = [{key: value for key, value in PLAIN[0].items() if key not in later}]
     (tmp_path / "x.pkl").write_bytes(pickle.dumps(plain, protocol=protocol))
 
     assert pickles.load(tmp_path / "x.pkl") == plain
@@ -115,10 +114,8 @@ def test_every_other_name_is_refused(tmp_path: Path, module: str, name: str, pro
 def test_any_bytes_are_a_value_or_a_data_error(tmp_path_factory: pytest.TempPathFactory, raw: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / "fuzz.pkl"
     path.write_bytes(raw)
-    try:
+    with contextlib.suppress(DataError):
         pickles.load(path)
-    except DataError:
-        pass
 
 
 def test_a_missing_file(tmp_path: Path) -> None:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from layouts import SECRET, boxed
 
 from a4agent.benchmarks import ragnet
 from a4agent.errors import DataError
+from layouts import SECRET, boxed
 
 
 def test_rows_become_samples_without_the_broken_frame(ragnet_path: Path) -> None:

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from layouts import boxed
 
 from a4agent.benchmarks import umd
 from a4agent.errors import DataError, UnknownNameError
+from layouts import boxed
 
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "umd_ranks.json").read_text())
 
@@ -75,10 +75,7 @@ def test_the_other_rule_reads_file_numbers_and_names_the_category(umd_path: Path
     samples = list(umd.create(umd_path, rule="affordance-r1"))
 
     assert [sample.id for sample in samples[:2]] == ["bowl_02_00000001-contain", "bowl_02_00000001-grasp"]
-    assert (
-        samples[0].query.instruction
-        == "What part of the bowl should we interact with in order to contain it?"
-    )
+    assert samples[0].query.instruction == "What part of the bowl should we interact with in order to contain it?"
     assert np.array_equal(samples[0].truth.mask(), boxed((0, 2, 12, 6)))  # floor(255 * (1 - 2 / 5)) = 153
 
 
@@ -90,17 +87,16 @@ def test_tools_of_no_known_category_are_not_asked_about(umd_path: Path) -> None:
     assert not [sample for sample in umd.create(umd_path) if "lamp" in sample.id]
 
 
-def test_the_published_number_of_frames_gives_the_published_number_of_pairs(tmp_path: Path) -> None:
-    """105 tools with 28,843 frames, split as evenly as can be, under the a4 rule: two pairs for one frame in 30."""
+def test_all_seventeen_categories_are_asked_twice_a_frame(tmp_path: Path) -> None:
     names = [category for members in umd.CATEGORIES.values() for category in members]
-    assert len(names) == 17 - 1 + 0 or len(names) == 17
-    for number in range(len(names)):
-        tool = tmp_path / f"{names[number]}_01"
-        tool.mkdir()
-        for frame in range(1, 274):
-            (tool / f"{tool.name}_{frame:08d}_rgb.jpg").touch()
+    for name in names:
+        (tmp_path / f"{name}_01").mkdir()
+        for frame in range(1, 64):
+            (tmp_path / f"{name}_01" / f"{name}_01_{frame:08d}_rgb.jpg").touch()
 
-    assert len(umd.create(tmp_path)) == len(names) * 2 * len(range(2, 273, 30))
+    assert len(set(names)) == 17
+    assert len(umd.create(tmp_path)) == 17 * 2 * len(range(2, 63, 30))
+    assert len(umd.create(tmp_path, rule="affordance-r1")) == 17 * 2 * len(range(1, 64, 30))
 
 
 @pytest.mark.parametrize("content", [b"", b"MATLAB 5.0 MAT-file, damaged" + b"\x00" * 200])
@@ -116,5 +112,5 @@ def test_a_damaged_file_of_ranks(umd_path: Path, content: bytes) -> None:
 
 
 def test_a_folder_that_is_not_umd(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="2.99 GB"):
+    with pytest.raises(DataError, match=r"2\.99 GB"):
         umd.create(tmp_path)
