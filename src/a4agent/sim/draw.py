@@ -17,6 +17,8 @@ LEAST_VISIBLE = 0.35
 """The least share of a part that must be seen; of one of the parts where any of them will do."""
 LEAST_PIXELS = 150
 MOST_OF_PICTURE = 0.4
+MOST_ARM = 0.3
+"""The largest shares of a picture that the part and the robot's arm may take."""
 SCENES, VIEWS = 8, 8
 """How many scenes, and views of each, are tried for one sample."""
 
@@ -123,6 +125,8 @@ def _draw_scene(catalogue: Catalogue, plan: Plan, rng: np.random.Generator) -> D
             regions = _number(scene, ids)
             seen = _count(scene, regions)
             if seen.sum() < LEAST_PIXELS or seen.sum() > MOST_OF_PICTURE * regions.size:
+                continue
+            if np.isin(ids, scene.arm_geoms).mean() > MOST_ARM:
                 continue
             alone = _number(scene, studio.part_alone())
             whole = _count(scene, alone)

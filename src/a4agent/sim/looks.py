@@ -10,7 +10,7 @@ import numpy as np
 
 from a4agent.sim.backend import mujoco
 from a4agent.sim.placing import bounds
-from a4agent.sim.scene import EYE, FIXED_LIGHTS, TABLE_THICKNESS, Scene
+from a4agent.sim.scene import EYE, FIXED_LIGHTS, THICKNESS, Scene
 from a4agent.sim.things import Thing
 
 SIZES_WH = ((640, 480), (640, 480), (640, 480), (512, 512), (640, 400), (480, 640))
@@ -71,10 +71,10 @@ def furnish(scene: Scene, yaw: float, rng: np.random.Generator) -> None:
     model.geom_aabb[table, 3:5] = half
     model.geom_rbound[table] = np.linalg.norm(model.geom_size[table])
     shift = rng.uniform(-0.3, 0.3) * half[1] * towards
-    model.body("stage/table").pos = [*shift, -TABLE_THICKNESS / 2]
+    model.body("stage/table").pos = [*shift, -THICKNESS / 2]
     model.body("stage/table").quat = quaternion
     behind = -(half[1] * rng.uniform(1.0, 1.6)) * towards + shift
-    model.body("stage/wall").pos = [*behind, 0.0]
+    model.body("stage/wall").pos = [*(behind - towards * THICKNESS / 2), 0.0]
     model.body("stage/wall").quat = _quaternion(
         np.array([[-towards[1], 0, towards[0]], [towards[0], 0, towards[1]], [0, 1, 0]])
     )

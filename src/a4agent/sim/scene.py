@@ -32,14 +32,14 @@ from a4agent.sim.things import Arm, Catalogue, Model, Prop, Thing, Use
 FREE_JOINT = 0
 FIXED_LIGHTS = ("key", "fill", "rim")
 EYE = "eye"
-TABLE_THICKNESS = 0.04
+THICKNESS = 0.04
 
 
 @dataclass(eq=False)
 class Scene:
     """A compiled scene. `part_geoms` maps each asked part to its geom ids; `thing_geoms` are the whole thing's.
 
-    `center` (3,) and `radius` describe the thing's bounding box in metres, `top` is its highest z.
+    `arm_geoms` are the robot's. `center` (3,) and `radius` describe the thing's bounding box in metres.
     """
 
     model: Any
@@ -47,11 +47,11 @@ class Scene:
     thing: Thing
     part_geoms: dict[str, np.ndarray]
     thing_geoms: np.ndarray
+    arm_geoms: np.ndarray
     props: tuple[str, ...]
     arm: str | None
     center: np.ndarray
     radius: float
-    top: float
 
     def surface_id(self, name: str) -> int:
         """The geom id of "table", "wall" or "floor", -1 where the scene has none of ours."""
@@ -125,11 +125,11 @@ def build_scene(
         thing=thing,
         part_geoms=part_geoms,
         thing_geoms=thing_geoms,
+        arm_geoms=subtree_geoms(model, "arm") if arm else np.zeros(0, int),
         props=tuple(placed),
         arm=arm.name if arm else None,
         center=(low + high) / 2,
         radius=float(np.linalg.norm(high - low) / 2),
-        top=float(high[2]),
     )
 
 
@@ -210,15 +210,15 @@ def _add_stage(spec: Any, catalogue: Catalogue, surfaces: Mapping[Use, tuple[str
     )
     for name in FIXED_LIGHTS:
         spec.worldbody.add_light(name=f"stage/{name}", type=mujoco().mjtLightType.mjLIGHT_DIRECTIONAL)
-    sizes = {"table": (1, 1, TABLE_THICKNESS / 2), "wall": (20, 20, 0.1), "floor": (20, 20, 0.1)}
+    box = mujoco().mjtGeom.mjGEOM_BOX  # not planes: they would shade themselves
     for use, (package, file) in surfaces.items():
         path = asset_path(catalogue, package, file)
         texture = spec.add_texture(name=f"stage/{use}", file=str(path), type=mujoco().mjtTexture.mjTEXTURE_2D)
         material = spec.add_material(name=f"stage/{use}", texrepeat=[1, 1], texuniform=True, specular=0.2)
         material.textures[mujoco().mjtTextureRole.mjTEXROLE_RGB] = texture.name
         body = spec.worldbody.add_body(name=f"stage/{use}")
-        shape = mujoco().mjtGeom.mjGEOM_BOX if use == "table" else mujoco().mjtGeom.mjGEOM_PLANE
-        body.add_geom(name=f"stage/{use}", type=shape, size=sizes[use], material=material.name)
+        half = (1, 1, THICKNESS / 2) if use == "table" else (20, 20, THICKNESS / 2)
+        body.add_geom(name=f"stage/{use}", type=box, size=half, material=material.name)
     spec.visual.global_.offwidth = spec.visual.global_.offheight = 1280
     spec.visual.quality.offsamples = 4
     spec.visual.quality.shadowsize = 2048

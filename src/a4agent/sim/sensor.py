@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+BRIGHTEST = 0.85
+"""What the automatic exposure lets most of the picture reach, of 1."""
+
 
 def expose(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A rendered picture (H, W, 3) uint8 as a sensor would see it, same shape and type."""
@@ -12,8 +15,8 @@ def expose(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     light = (image.astype(np.float32) / 255) ** 2.2
     if rng.random() < 0.5:
         light = gaussian_filter(light, sigma=(*[rng.uniform(0.3, 1.0)] * 2, 0))
-    balance = rng.normal(1.0, 0.04, 3) * rng.uniform(0.9, 1.4)
-    light = light * balance * _vignette(image.shape[:2], rng.uniform(0.0, 0.3))
+    gain = min(rng.uniform(0.9, 1.4), BRIGHTEST / max(float(np.quantile(light, 0.97)), 1e-3))
+    light = light * rng.normal(1.0, 0.04, 3) * gain * _vignette(image.shape[:2], rng.uniform(0.0, 0.3))
     photons = 10 ** rng.uniform(2.3, 4.0)
     noise = rng.standard_normal(image.shape, dtype=np.float32)
     light = light + noise * np.sqrt(np.clip(light, 0, 1) / photons + (0.2 / photons) ** 2 + 1e-6)
