@@ -73,11 +73,12 @@ def options_of(factory: Factory) -> dict[str, Any]:
     return {p.name: p.default for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
 
 
-def load(name: str, path: str | Path, options: Mapping[str, Any] | None = None) -> Benchmark:
-    """Open the benchmark `name` at `path`.
+def load(name: str, path: str | Path | None, options: Mapping[str, Any] | None = None) -> Benchmark:
+    """Open the benchmark `name` at `path`; without one, if it has data of its own.
 
     Raises:
         UnknownNameError: no such benchmark, or it has no such option.
+        ConfigError: it needs a path.
         DataError: what lies at `path` is not this benchmark.
     """
     factory = factory_of(name)
@@ -85,4 +86,8 @@ def load(name: str, path: str | Path, options: Mapping[str, Any] | None = None) 
     for option in options or {}:
         if option not in known:
             raise UnknownNameError.of(f"option of the benchmark {name!r}:", option, known)
+    if path is None:
+        first = next(iter(inspect.signature(factory).parameters.values()))
+        if first.default is inspect.Parameter.empty:
+            raise ConfigError(f"where is the data of {name!r}? give its folder with --data PATH")
     return factory(path, **(options or {}))

@@ -21,7 +21,7 @@ OptionsOption = Annotated[
 ]
 
 
-def opened(name: str, path: Path, rule: str | None = None, options: list[str] | None = None) -> Benchmark:
+def opened(name: str, path: Path | None, rule: str | None = None, options: list[str] | None = None) -> Benchmark:
     """The benchmark that the options name.
 
     Raises:

@@ -2,7 +2,7 @@
 
     work = Bench(benchmark, settings, selection=Selection(limit=100))
     with A4Agent.from_settings(settings) as agent:
-        run = work.run(agent, on_sample=print)
+        run = work.run(agent)
 
 The agent sees queries only. What is true is read here, when the answer has come.
 """
@@ -10,7 +10,8 @@ The agent sees queries only. What is true is read here, when the answer has come
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
@@ -48,10 +49,12 @@ class Selection:
 class Progress:
     """How far a run is. `scored` of `planned` samples have a record, `failed` of them are invalid or errors.
 
+    This session is to ask for `to_ask` samples and has `asked` some; `cost` is in US dollars, of this session.
     `unscored` maps the ids of samples whose truth could not be read to the reason; they have no record.
     """
 
     planned: int
+    to_ask: int
     scored: int = 0
     failed: int = 0
     cost: float = 0.0
@@ -119,72 +122,88 @@ class Bench:
         oracle = f"-oracle-{self.oracle}" if self.oracle else ""
         return self.out or RUNS / f"{self.benchmark.name}-{self.settings.name}{oracle}-{manifest.hash}"
 
-    def run(
-        self,
-        agent: A4Agent,
-        on_start: Callable[[Path, Progress], None] | None = None,
-        on_sample: Callable[[Record | None, Progress], None] | None = None,
-    ) -> Run:
-        """Ask for what the run folder does not have yet; returns the run as it stands then.
-
-        The first call tells the folder and what was there, each further one a sample (None: its truth could
-        not be read).
+    @contextmanager
+    def open(self, agent: A4Agent) -> Generator[Session, None, None]:
+        """Take hold of the run folder; iterate over the session to ask for what it does not have yet.
 
         Raises:
             ConfigError: the folder belongs to another configuration.
-            BudgetExceeded, UserError, ProviderError: see `engine.run`; what was answered is kept.
-            KeyboardInterrupt: Ctrl-C; what was in flight is kept.
+            DataError: another process writes it.
         """
         manifest = self.manifest(agent)
-        protocol = str(manifest.identity["protocol"])
         with RunWriter(self.folder(manifest), manifest, self.retry) as writer:
-            progress = Progress(int(manifest.identity["selection"]["samples"]))
-            for record in writer.records.values():
-                progress.count(record.scored, protocol)
-            if on_start:
-                on_start(writer.folder, progress)
-            for sample, affordance in self._answers(agent, writer, progress.stats):
-                try:
-                    row = row_of(sample, affordance, writer)
-                except UserError as error:
-                    progress.unscored[sample.id] = str(error)
-                    record = None
-                else:
-                    if sample.id in writer.records:
-                        progress.count(writer.records[sample.id].scored, protocol, -1)
-                    record = writer.add(row)
-                    progress.count(record.scored, protocol)
-                progress.asked += 1
-                progress.cost += affordance.trace.cost
-                if on_sample:
-                    on_sample(record, progress)
-        return read_run(writer.folder)
+            yield Session(self, agent, writer)
 
-    def _answers(self, agent: A4Agent, writer: RunWriter, stats: engine.Stats) -> Iterator[tuple[Sample, Affordance]]:
+    def run(self, agent: A4Agent) -> Run:
+        """Ask for all that is missing; returns the run as it stands then. Raises what a session raises."""
+        with self.open(agent) as session:
+            for _ in session:
+                pass
+        return read_run(session.folder)
+
+
+class Session:
+    """One start on a run folder. Iterate over it for a record a sample, None where the truth could not be read.
+
+    Raises, while iterating:
+        BudgetExceeded, UserError, ProviderError: see `engine.run`; what was answered is kept.
+        KeyboardInterrupt: Ctrl-C; what was in flight has been kept.
+    """
+
+    def __init__(self, work: Bench, agent: A4Agent, writer: RunWriter) -> None:
+        self.folder = writer.folder
+        self._work = work
+        self._agent = agent
+        self._writer = writer
+        self._indices = work.selection.indices(len(work.benchmark))
+        self._protocol = str(writer.manifest.identity["protocol"])
+        self.progress = Progress(len(self._indices), len(self._indices) - writer.settled)
+        for record in writer.records.values():
+            self.progress.count(record.scored, self._protocol)
+
+    def __iter__(self) -> Iterator[Record | None]:
+        progress, writer = self.progress, self._writer
+        for sample, affordance in self._answers():
+            progress.asked += 1
+            progress.cost += affordance.trace.cost
+            try:
+                row = row_of(sample, affordance, writer)
+            except UserError as error:
+                progress.unscored[sample.id] = str(error)
+                yield None
+                continue
+            if sample.id in writer.records:
+                progress.count(writer.records[sample.id].scored, self._protocol, -1)
+            record = writer.add(row)
+            progress.count(record.scored, self._protocol)
+            yield record
+
+    def _answers(self) -> Iterator[tuple[Sample, Affordance]]:
         """The samples that are wanted with their answers, as they are ready."""
+        benchmark, oracle = self._work.benchmark, self._work.oracle
         in_flight: dict[str, Sample] = {}
 
         def queries() -> Iterator[Query]:
-            for index in self.selection.indices(len(self.benchmark)):
-                sample = self.benchmark[index]
+            for index in self._indices:
+                sample = benchmark[index]
                 if sample.id in in_flight:
-                    raise DataError(f"two samples of {self.benchmark.name!r} have the same id {sample.id!r}")
-                if writer.wants(sample.id):
+                    raise DataError(f"two samples of {benchmark.name!r} have the same id {sample.id!r}")
+                if self._writer.wants(sample.id):
                     in_flight[sample.id] = sample
                     yield sample.query
 
         def given(query: Query) -> Given | None:
             try:
-                return given_of(in_flight[query.id], self.oracle) if self.oracle else None
+                return given_of(in_flight[query.id], oracle) if oracle else None
             except InputError:
                 return None  # the agent will find the same wrong with the picture, and it is this sample's answer
 
         answers = engine.run(
-            agent,
+            self._agent,
             queries(),
-            settings=self.settings.engine,
-            given=given if self.oracle else None,
-            stats=stats,
+            settings=self._work.settings.engine,
+            given=given if oracle else None,
+            stats=self.progress.stats,
         )
         for query, affordance in answers:
             yield in_flight.pop(query.id), affordance
@@ -196,8 +215,9 @@ def row_of(sample: Sample, affordance: Affordance, writer: RunWriter) -> dict[st
     Raises:
         DataError: the truth cannot be read.
     """
-    truth = sample.truth.mask()
-    row = metrics.measure(affordance.mask, truth, affordance.status)
+    truths = (sample.truth.mask(), *sample.truth.alternatives())
+    row = metrics.measure(affordance.mask, truths[0], affordance.status, truths[1:])
+    counted = next(t for t in truths if metrics.measure(affordance.mask, t, affordance.status)[:2] == row[:2])
     imagined = affordance.imagination.image if affordance.imagination else None
     pictures = {"original": affordance.image, "imagination": imagined}
     answer = replace(affordance, id=sample.id).to_dict()
@@ -211,7 +231,8 @@ def row_of(sample: Sample, affordance: Affordance, writer: RunWriter) -> dict[st
         "truth_pixels": row.truth_pixels,
         "prediction_pixels": row.prediction_pixels,
         "resized": row.resized,
-        "truth": rle.encode(truth),
+        "truth": rle.encode(counted),
         "category": sample.truth.category,
+        "tags": dict(sample.truth.tags),
         "pictures": {kind: writer.add_picture(image) for kind, image in pictures.items() if image is not None},
     }

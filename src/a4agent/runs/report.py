@@ -25,7 +25,6 @@ from a4agent.errors import DataError, require
 from a4agent.runs import published, scores
 from a4agent.runs.store import STATUSES, Record, Run, write_atomically
 
-MEASURES = {"giou": "gIoU", "ciou": "cIoU", "p50": "P@50", "p50_95": "P@50:95"}
 LONGEST_ANSWER = 4000
 
 
@@ -67,9 +66,9 @@ def render(run: Run) -> str:
         manifest=json.dumps(run.manifest.identity, indent=2, ensure_ascii=False),
         scores=found,
         protocol=metrics.protocol_of(found.protocol),
-        measures=[(label, getattr(found, name), found.intervals.get(name)) for name, label in MEASURES.items()],
+        measures=[(label, getattr(found, name), found.intervals.get(name)) for name, label in metrics.MEASURES.items()],
         published=_published(run, found),
-        categories=[(name, group) for name, group in scores.by_category(run).items()],
+        groups=scores.by_group(run),
         statuses=[(status, sum(r.status == status for r in run.records.values())) for status in STATUSES],
         outcomes=_outcomes(samples),
         histogram=_histogram(samples),
@@ -100,6 +99,7 @@ def _sample(run: Run, record: Record, side: int, pictures: dict[str, str]) -> di
         "outcome": scores.outcome(record),
         "iou": round(record.iou, 4),
         "category": record.category,
+        "tags": record.tags,
         "instruction": row["instruction"],
         "part": target.get("object_part", ""),
         "thinking": target.get("thinking", ""),
@@ -115,7 +115,7 @@ def _sample(run: Run, record: Record, side: int, pictures: dict[str, str]) -> di
         "error": row["error"] or "",
         "seconds": round(record.seconds, 3),
         "cost": record.cost,
-        "pixels": [row["intersection"], row.get("prediction_pixels"), row.get("truth_pixels")],
+        "pixels": [row["intersection"], row.get("prediction_pixels"), row["union"]],
         "steps": [_step(step) for step in row["trace"]],
     }
 
@@ -172,7 +172,7 @@ def _published(run: Run, found: metrics.Scores) -> dict[str, Any] | None:
     rows.sort(key=lambda row: -row["values"][0] if row["values"][0] == row["values"][0] else 1)
     return {
         "title": f"{published.SOURCE}, table {table.number}",
-        "columns": [MEASURES[table.columns[i].measure] for i in columns],
+        "columns": [metrics.MEASURES[table.columns[i].measure] for i in columns],
         "rows": rows,
         "notes": table.notes,
     }

@@ -1,4 +1,4 @@
-"""What a run scored: as a whole, by category, and in words why a sample missed."""
+"""What a run scored: as a whole, by category and tag, and in words why a sample missed."""
 
 from __future__ import annotations
 
@@ -29,13 +29,23 @@ def score(run: Run, protocol: str | None = None) -> Scores:
     return metrics.score(rows_of(run).values(), protocol or protocol_of(run))
 
 
-def by_category(run: Run, protocol: str | None = None) -> dict[str, Scores]:
-    """The scores of each category, worst gIoU first; empty if the benchmark has none."""
-    names = [record.category for record in run.records.values()]
-    if not any(names):
-        return {}
-    found = metrics.score_by(rows_of(run).values(), names, protocol or protocol_of(run))
-    return dict(sorted(found.items(), key=lambda item: (item[1].giou, item[0])))
+def by_group(run: Run, protocol: str | None = None) -> dict[str, dict[str, Scores]]:
+    """The scores by "category" and by each tag of the samples, worst gIoU first.
+
+    What the benchmark does not have is left out, and so is a tag that says the same as the category.
+    """
+    records = list(run.records.values())
+    columns = {"category": [record.category for record in records]}
+    for tag in dict.fromkeys(tag for record in records for tag in record.tags):
+        values = [record.tags.get(tag, "") for record in records]
+        if values != columns["category"]:
+            columns[tag] = values
+    found: dict[str, dict[str, Scores]] = {}
+    for name, values in columns.items():
+        if any(values):
+            groups = metrics.score_by([r.scored for r in records], values, protocol or protocol_of(run))
+            found[name] = dict(sorted(groups.items(), key=lambda item: (item[1].giou, item[0])))
+    return found
 
 
 def outcome(record: Record) -> str:
@@ -53,7 +63,8 @@ def outcome(record: Record) -> str:
         return "hit"
     if not row.prediction_pixels:
         return "nothing found"
-    truth, found = row.truth_pixels or 0, row.prediction_pixels
+    found = row.prediction_pixels
+    truth = row.union - found + row.intersection
     if 10 * row.intersection < row.union and 2 * row.intersection < max(truth, 1) and 2 * row.intersection < found:
         return "elsewhere"
     if 2 * row.intersection >= truth:
@@ -70,7 +81,9 @@ def summary(run: Run) -> dict[str, Any]:
         "planned": run.planned,
         "complete": run.complete,
         "scores": score(run).to_dict(),
-        "categories": {name: found.to_dict() for name, found in by_category(run).items()},
+        "groups": {
+            name: {value: found.to_dict() for value, found in groups.items()} for name, groups in by_group(run).items()
+        },
     }
 
 

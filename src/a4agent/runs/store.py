@@ -13,7 +13,7 @@ A line of samples.jsonl (wrapped here) is what `Affordance.to_dict` gives, and w
      "target": {...}, "imagination": null, "boxes_xyxy": [...], "points_xy": [...],
      "mask": {"size": ..., "counts": ...}, "regions": [...], "trace": [...],
      "intersection": 2041, "union": 2517, "iou": 0.8109, "truth_pixels": 2230, "prediction_pixels": 2328,
-     "truth": {"size": ..., "counts": ...}, "resized": false, "category": "grasp",
+     "truth": {"size": ..., "counts": ...}, "resized": false, "category": "grasp", "tags": {},
      "pictures": {"original": "images/4be1….jpg"}}
 
 A sample that is asked for again gets a second line; the last line of an id counts. A last line that a
@@ -84,8 +84,13 @@ class Record:
         return self.row.get("category") or ""
 
     @property
+    def tags(self) -> Mapping[str, str]:
+        """Further things to break scores down by."""
+        return self.row.get("tags") or {}
+
+    @property
     def truth(self) -> Mapping[str, Any]:
-        """The true mask as COCO RLE."""
+        """The true mask as COCO RLE; of several right ones the one that counted."""
         return self.row["truth"]
 
     @property
@@ -229,6 +234,11 @@ class RunWriter:
     def wants(self, id: str) -> bool:
         """Whether this sample is still to be asked for."""
         return id not in self.records or id in self._pending_retry
+
+    @property
+    def settled(self) -> int:
+        """How many records are there to stay."""
+        return len(self.records) - len(self._pending_retry)
 
     def add(self, row: Mapping[str, Any]) -> Record:
         """Append a line and wait until it is on the disk."""

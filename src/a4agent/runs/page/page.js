@@ -2,7 +2,7 @@
 // The samples: filter and sort them, keep only the cards in sight in the page, draw masks over pictures.
 const $ = (id) => document.getElementById(id);
 const samples = JSON.parse($("data").textContent);
-const picked = { search: "", status: "", outcome: "", category: "", bin: "" };
+const picked = { search: "", status: "", outcome: "", tag: "", bin: "" };
 const layers = { mask: true, truth: true, boxes: true, points: true, zoom: true };
 const CARD = { least: 236, height: 298, frame: 190, gap: 14 };
 const COLOURS = { hit: [0, 190, 135], extra: [240, 95, 20], miss: [50, 115, 245] };
@@ -12,9 +12,11 @@ let cardAspect = 1.3;
 
 samples.forEach((sample, place) => {
   sample.place = place;
+  sample.groups = [["category", sample.category], ...Object.entries(sample.tags)].map((pair) => pair.join("="));
   sample.text = [sample.id, sample.instruction, sample.part, sample.error, sample.category].join("\n").toLowerCase();
 });
 
+const area = (runs) => runs.reduce((sum, run, i) => sum + (i % 2) * run, 0);
 const ORDERS = {
   worst: (a, b) => a.iou - b.iou,
   best: (a, b) => b.iou - a.iou,
@@ -22,8 +24,8 @@ const ORDERS = {
   name: (a, b) => a.id.localeCompare(b.id, undefined, { numeric: true }),
   slow: (a, b) => b.seconds - a.seconds,
   cost: (a, b) => b.cost - a.cost,
-  large: (a, b) => (b.pixels[2] || 0) - (a.pixels[2] || 0),
-  small: (a, b) => (a.pixels[2] || 0) - (b.pixels[2] || 0),
+  large: (a, b) => area(b.truth) - area(a.truth),
+  small: (a, b) => area(a.truth) - area(b.truth),
 };
 
 function choose() {
@@ -31,7 +33,7 @@ function choose() {
   shown = samples.filter((sample) =>
     (!picked.status || sample.status === picked.status) &&
     (!picked.outcome || sample.outcome === picked.outcome) &&
-    (!picked.category || sample.category === picked.category) &&
+    (!picked.tag || sample.groups.includes(picked.tag)) &&
     (picked.bin === "" || Math.min(9, Math.floor(sample.iou * 10 + 1e-9)) === Number(picked.bin)) &&
     words.every((word) => sample.text.includes(word)));
   const order = ORDERS[$("sort").value];
@@ -227,11 +229,11 @@ function facts(sample) {
     dt.textContent = name; dd.textContent = value; dd.className = kind || "";
     list.push(dt, dd);
   };
-  const [shared, found, truth] = sample.pixels;
+  const [shared, found, union] = sample.pixels, truth = union - found + shared;
   fact("outcome", `${sample.outcome}, IoU ${(100 * sample.iou).toFixed(1)}` +
     (found && truth ? `; ${Math.round(100 * shared / found)}% of what was found is true, ${Math.round(100 * shared / truth)}% of the truth was found` : ""));
   fact("error", sample.error, "wrong");
-  fact("category", sample.category);
+  fact("category", [sample.category, ...Object.entries(sample.tags).map((pair) => pair.join(": "))].filter(Boolean).join(", "));
   fact("part", sample.part);
   fact("thinking", sample.thinking);
   fact("took", `${sample.seconds.toFixed(2)} s` + (sample.cost ? `, $${sample.cost.toFixed(4)}` : ""));
@@ -257,7 +259,7 @@ function pick(changes) {
   }
   choose();
 }
-for (const name of ["status", "outcome", "category"])
+for (const name of ["status", "outcome", "tag"])
   if ($(name)) $(name).addEventListener("change", (event) => { picked[name] = event.target.value; choose(); });
 $("search").addEventListener("input", (event) => { picked.search = event.target.value; choose(); });
 $("sort").addEventListener("change", choose);
@@ -268,8 +270,8 @@ $("clear").addEventListener("click", () => {
 document.addEventListener("click", (event) => {
   const button = event.target.closest("main button");
   if (!button || button.classList.contains("sample")) return;
-  const { outcome, bin, category, search } = button.dataset;
-  const changes = Object.fromEntries(Object.entries({ outcome, bin, category, search }).filter(([, value]) => value !== undefined));
+  const { outcome, bin, tag, search } = button.dataset;
+  const changes = Object.fromEntries(Object.entries({ outcome, bin, tag, search }).filter(([, value]) => value !== undefined));
   if (!Object.keys(changes).length) return;
   pick(changes);
   $("samples").scrollIntoView({ behavior: "smooth" });

@@ -1,0 +1,196 @@
+"""`a4 bench BENCHMARK --data PATH`: run a profile on a benchmark and score it, into a folder that can be resumed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from a4agent.cli import common
+from a4agent.cli.bench_progress import Display
+from a4agent.cli.benchmark_data import OptionsOption, RuleOption, opened
+from a4agent.cli.common import ProfileOption, SetOption, messages
+from a4agent.errors import A4Error, ConfigError, UnknownNameError
+
+if TYPE_CHECKING:
+    from a4agent.affordance import Status
+    from a4agent.agent import A4Agent
+    from a4agent.config import Settings
+    from a4agent.runs.bench import Bench, Progress
+    from a4agent.runs.store import Run
+    from a4agent.runs.suites import System
+
+SHOWN = 5
+
+
+def bench(
+    benchmark: Annotated[
+        str | None, typer.Argument(metavar="BENCHMARK", help="umd, reasonaff, ragnet-3doi, folder, sim, ...")
+    ] = None,
+    data: Annotated[Path | None, typer.Option("--data", help="The folder of the dataset.")] = None,
+    profile: ProfileOption = None,
+    sets: SetOption = None,
+    limit: Annotated[int | None, typer.Option(min=1, help="Only the first N samples.")] = None,
+    shuffle: Annotated[int | None, typer.Option(metavar="SEED", help="In an order that the seed decides.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="The run folder; else runs/BENCHMARK-PROFILE-CONFIGURATION.")
+    ] = None,
+    retry: Annotated[
+        str | None, typer.Option(metavar="STATUS,...", help="Ask again what ended as error, invalid or empty.")
+    ] = None,
+    oracle: Annotated[
+        str | None, typer.Option(help="The truth instead of a stage and those before: thinker, detector, segmenter.")
+    ] = None,
+    suite: Annotated[
+        str | None, typer.Option(help="All systems of one table: paper-table-1 to paper-table-6, or a TOML file.")
+    ] = None,
+    protocol: Annotated[str | None, typer.Option(help="strict, affordance-r1, affordance-r1-umd or ragnet.")] = None,
+    rule: RuleOption = None,
+    option: OptionsOption = None,
+    cache: Annotated[str | None, typer.Option(help="off, read or write: reuse answers kept on disk.")] = None,
+    max_cost: Annotated[float | None, typer.Option(help="Stop at this many US dollars; run again to go on.")] = None,
+    max_seconds: Annotated[float | None, typer.Option(help="Stop after this long; run again to go on.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the scores as JSON.")] = False,
+) -> None:
+    """Run a profile on a benchmark and score it. Started again, it does only what is missing.
+
+    A sample is in the run folder as soon as it is scored, so a run may be stopped at any time.
+    """
+    from a4agent.runs import scores
+    from a4agent.runs.bench import Bench, Selection
+    from a4agent.runs.oracle import oracle_of
+    from a4agent.runs.suites import load_suite
+    from a4agent.runs.tables import fill
+
+    engine = {"engine__cache": cache, "engine__max_cost": max_cost, "engine__max_seconds": max_seconds}
+    plan: dict[str, Any] = {
+        "selection": Selection(limit, shuffle),
+        "protocol": protocol,
+        "oracle": oracle_of(oracle) if oracle else None,
+        "retry": _statuses(retry),
+    }
+    if suite:
+        if benchmark or profile or out:
+            raise ConfigError("a suite names benchmarks, profiles and folders itself: leave those options away")
+        table = load_suite(suite)
+        benchmarks = [opened(name, data, rule, option) for name in table.benchmark_names()]
+        systems = [
+            [Bench(one, _settings_of(system, sets, engine), label=system.label, **plan) for one in benchmarks]
+            for system in table.system
+        ]
+    elif benchmark:
+        settings = common.settings(profile, sets, **engine)
+        systems = [[Bench(opened(benchmark, data, rule, option), settings, out=out, **plan)]]
+    else:
+        raise ConfigError("which benchmark? `a4 data list` names them; for instance: a4 bench folder --data examples")
+    runs, code = _run_all(systems, as_json)
+    if as_json:
+        found = [scores.summary(run) for run in runs]
+        print(json.dumps(found if suite else found[0] if found else None, indent=1))
+    elif suite and runs:
+        for one in fill(runs, load_suite(suite).table):
+            print("\n" + one.render("markdown"), end="")
+    raise typer.Exit(code)
+
+
+def _run_all(systems: Sequence[Sequence[Bench]], as_json: bool) -> tuple[list[Run], int]:
+    """Run one system after the other, each on all its benchmarks; returns the runs and the exit code.
+
+    In a suite, a system that cannot be run does not keep the others from it.
+    """
+    from a4agent.agent import A4Agent
+
+    runs: list[Run] = []
+    worst = common.OK
+    for works in systems:
+        try:
+            with A4Agent.from_settings(works[0].settings) as agent:
+                for work in works:
+                    run, code = _run(work, agent, as_json)
+                    runs += [run] if run.records else []
+                    worst = max(worst, code)
+                    if code == common.INTERRUPTED:
+                        return runs, code
+        except A4Error as error:
+            if len(systems) == 1:
+                raise
+            worst = max(worst, common.fail(error))
+    return runs, worst
+
+
+def _run(work: Bench, agent: A4Agent, as_json: bool) -> tuple[Run, int]:
+    """Run one configuration on one benchmark and say what came of it; returns the run and the exit code."""
+    from a4agent.runs import scores
+    from a4agent.runs.store import read_run
+
+    title = f"{work.benchmark.name}, {work.label or work.settings.name}"
+    stopped: BaseException | None = None
+    with work.open(agent) as session:
+        there = session.progress.planned - session.progress.to_ask
+        messages.print(
+            f"{title}: {session.progress.to_ask} samples to ask, {there} there, in {session.folder}/", soft_wrap=True
+        )
+        with Display(title, session.progress) as display:
+            try:
+                for _ in session:
+                    display.update(session.progress)
+            except (A4Error, KeyboardInterrupt) as error:
+                stopped = error
+    progress, run = session.progress, read_run(session.folder)
+    if run.records:
+        scores.save(run)
+        if not as_json:
+            show_scores(run)
+    _tell(progress)
+    if isinstance(stopped, KeyboardInterrupt):
+        messages.print("interrupted; the same command goes on from here")
+        return run, common.INTERRUPTED
+    if stopped is not None:
+        return run, common.fail(stopped)
+    return run, common.SOME_FAILED if progress.failed or progress.unscored else common.OK
+
+
+def _tell(progress: Progress) -> None:
+    """What should not go unnoticed, and what the cache saved."""
+    for id, reason in list(progress.unscored.items())[:SHOWN]:
+        common.warn(f"sample {id!r} has no score: {reason}")
+    if len(progress.unscored) > SHOWN:
+        common.warn(f"{len(progress.unscored)} samples have no score; `a4 data check` lists what is wrong")
+    if progress.stats.saved:
+        messages.print(f"{progress.stats.asked} model calls made, {progress.stats.saved} answered from the cache")
+
+
+def show_scores(run: Run) -> None:
+    """The scores of a run, on stdout."""
+    from a4agent.metrics import MEASURES
+    from a4agent.runs import scores
+
+    found = scores.score(run)
+    part = f" of {run.planned}" if not run.complete else ""
+    print(
+        f"protocol {found.protocol}  n {found.n}{part}  scored {found.n_scored}  failed {found.n_failed}"
+        f"  empty truth {found.n_empty_truth}  empty prediction {found.n_empty_prediction}  resized {found.n_resized}"
+    )
+    for name, label in MEASURES.items():
+        value, (low, high) = getattr(found, name), found.intervals[name]
+        if value == value:
+            print(f"{label:<8} {100 * value:6.2f}   95% {100 * low:.2f} to {100 * high:.2f}")
+
+
+def _settings_of(system: System, sets: list[str] | None, engine: dict[str, Any]) -> Settings:
+    replaced = {name.replace(".", "__"): value for name, value in system.set.items()}
+    return common.settings(system.profile, sets, **replaced, **engine)
+
+
+def _statuses(text: str | None) -> tuple[Status, ...]:
+    """The statuses that `--retry` names."""
+    from a4agent.runs.store import STATUSES
+
+    names = [name.strip() for name in (text or "").split(",") if name.strip()]
+    for name in names:
+        if name not in STATUSES:
+            raise UnknownNameError.of("status", name, STATUSES)
+    return tuple(status for status in STATUSES if status in names)

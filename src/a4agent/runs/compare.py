@@ -1,0 +1,137 @@
+"""Runs side by side on the samples they share, and where the points go.
+
+The first run is what the others are compared with. Differences are paired, with 95 % intervals. Runs
+that differ in nothing but their oracle make a table of losses: what each stage costs in gIoU.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+from a4agent import metrics
+from a4agent.errors import DataError
+from a4agent.metrics import Comparison, Difference
+from a4agent.runs import scores
+from a4agent.runs.manifest import differences
+from a4agent.runs.oracle import ORACLES
+from a4agent.runs.store import Run
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two runs: `changed` lists what their configurations differ in."""
+
+    first: Run
+    second: Run
+    result: Comparison
+    changed: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Loss:
+    """One stage's share: `giou` with this stage and all before it by the truth; `cost` is what it gained."""
+
+    stage: str
+    giou: float
+    cost: Difference | None
+
+
+def compare(first: Run, second: Run, protocol: str | None = None) -> Pair:
+    """Two runs on their shared samples, by the first one's protocol unless another is named.
+
+    Raises:
+        DataError: they share no sample, or were scored against different truths.
+    """
+    protocol = protocol or scores.protocol_of(first)
+    try:
+        result = metrics.compare(scores.rows_of(first), scores.rows_of(second), protocol)
+    except DataError as error:
+        raise DataError(f"{first.name} and {second.name}: {error}") from error
+    changed = differences(_configuration(first), _configuration(second))
+    return Pair(first, second, result, tuple(changed))
+
+
+def losses(runs: Sequence[Run], protocol: str | None = None) -> list[list[Loss]]:
+    """A table of losses for each configuration that has runs with oracles, in the order of the stages.
+
+    The first line of a table is the run as it is. Each cost is paired with the line before.
+    """
+    groups: list[list[Run]] = []
+    for run in runs:
+        group = next(
+            (g for g in groups if not differences(_configuration(g[0], False), _configuration(run, False))), None
+        )
+        if group is None:
+            groups.append([run])
+        elif _oracle(run) not in map(_oracle, group):
+            group.append(run)
+    tables: list[list[Loss]] = []
+    for group in groups:
+        group.sort(key=_depth)
+        if len(group) < 2:
+            continue
+        lines = [Loss(_stage(group[0]), scores.score(group[0], protocol).giou, None)]
+        for before, after in pairwise(group):
+            result = compare(before, after, protocol).result
+            lines.append(Loss(_stage(after), result.second.giou, result.differences["giou"]))
+        tables.append(lines)
+    return tables
+
+
+def to_dict(pairs: Sequence[Pair], tables: Sequence[Sequence[Loss]]) -> dict[str, Any]:
+    """Ready for `json.dumps`."""
+    return {
+        "pairs": [
+            {
+                "first": str(pair.first.folder),
+                "second": str(pair.second.folder),
+                "changed": list(pair.changed),
+                "protocol": pair.result.first.protocol,
+                "shared": pair.result.n_shared,
+                "only_first": pair.result.n_only_first,
+                "only_second": pair.result.n_only_second,
+                "scores": [pair.result.first.to_dict(), pair.result.second.to_dict()],
+                "differences": {name: _difference(found) for name, found in pair.result.differences.items()},
+                "gained": list(pair.result.gained),
+                "lost": list(pair.result.lost),
+            }
+            for pair in pairs
+        ],
+        "losses": [
+            [
+                {"stage": line.stage, "giou": _known(line.giou), "cost": line.cost and _difference(line.cost)}
+                for line in table
+            ]
+            for table in tables
+        ],
+    }
+
+
+def _configuration(run: Run, with_oracle: bool = True) -> dict[str, Any]:
+    identity = run.manifest.identity
+    keys = ("benchmark", "data", "selection", "oracle", "settings", "experts", "prompts")
+    return {key: identity.get(key) for key in keys if key != "oracle" or with_oracle}
+
+
+def _oracle(run: Run) -> str | None:
+    return run.manifest.identity.get("oracle")
+
+
+def _depth(run: Run) -> int:
+    oracle = _oracle(run)
+    return -1 if oracle is None else ORACLES.index(oracle)  # pyright: ignore[reportArgumentType]
+
+
+def _stage(run: Run) -> str:
+    return _oracle(run) or "the run as it is"
+
+
+def _difference(found: Difference) -> dict[str, float | None]:
+    return {"value": _known(found.value), "low": _known(found.low), "high": _known(found.high)}
+
+
+def _known(value: float) -> float | None:
+    return None if value != value else value

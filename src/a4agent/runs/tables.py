@@ -1,0 +1,230 @@
+"""The paper's tables with our rows beside the published ones, as Markdown, LaTeX or CSV.
+
+    | Model                     | gIoU  | cIoU  |
+    |---------------------------|------:|------:|
+    | without Dreamer, GPT-4o   | 62.30 | 54.43 |
+    | **without Dreamer, GPT-4o** (ours) | 61.87 ± 2.1 | 55.02 |
+
+A row of ours is one system: runs of the same configuration on several benchmarks fill one row.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+from a4agent import metrics
+from a4agent.errors import DataError
+from a4agent.runs import published, scores
+from a4agent.runs.published import OURS, Table
+from a4agent.runs.store import Run
+
+Form = Literal["markdown", "latex", "csv"]
+FORMS: tuple[Form, ...] = ("markdown", "latex", "csv")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A value in percent, None where there is none; `half_width` is half of its 95 % interval."""
+
+    value: float | None
+    half_width: float | None = None
+
+
+@dataclass(frozen=True)
+class Line:
+    """One row of a table."""
+
+    name: str
+    cells: tuple[Cell, ...]
+    ours: bool = False
+
+
+@dataclass(frozen=True)
+class Filled:
+    """A table with rows of both kinds. `notes` say how ours came about."""
+
+    title: str
+    columns: tuple[str, ...]
+    decimals: int
+    lines: tuple[Line, ...]
+    notes: tuple[str, ...]
+
+    def render(self, form: Form) -> str:
+        """The table as text, with a newline at its end."""
+        return {"markdown": _markdown, "latex": _latex, "csv": _csv}[form](self)
+
+
+def fill(runs: Sequence[Run], key: str | None = None, labels: Mapping[str, str] | None = None) -> list[Filled]:
+    """Every published table that the runs have columns of, or the one named; then what no table has room for.
+
+    `labels` names systems (`Manifest.system`) otherwise than their runs do.
+
+    Raises:
+        UnknownNameError: no such table.
+        DataError: none of the runs is on a benchmark of the table.
+    """
+    if key:
+        table = published.table(key)
+        chosen = [run for run in runs if _benchmark(run) in table.benchmarks]
+        if not chosen:
+            on = ", ".join(sorted({_benchmark(run) for run in runs}))
+            raise DataError(f"table {key!r} is of {', '.join(table.benchmarks)}, and the runs are on {on}")
+        return [_filled(table, chosen, labels or {})]
+    tables = dict.fromkeys(published.of_benchmark(_benchmark(run)) for run in runs)
+    found = [_filled(t, [r for r in runs if _benchmark(r) in t.benchmarks], labels or {}) for t in tables if t]
+    for benchmark in dict.fromkeys(_benchmark(run) for run in runs):
+        if published.of_benchmark(benchmark) is None:
+            found.append(_alone(benchmark, [run for run in runs if _benchmark(run) == benchmark], labels or {}))
+    return found
+
+
+def _filled(table: Table, runs: Sequence[Run], labels: Mapping[str, str]) -> Filled:
+    theirs = [Line(name, tuple(Cell(value) for value in values)) for name, values in table.rows.items()]
+    ours = [
+        Line(name, tuple(_cell(run_of.get(column.benchmark), column.measure) for column in table.columns), ours=True)
+        for name, run_of in _systems(runs, labels)
+    ]
+    return Filled(
+        title=f"Table {table.number} of {published.SOURCE}: {table.title}",
+        columns=tuple(column.name for column in table.columns),
+        decimals=table.decimals,
+        lines=tuple(_beside(theirs, ours)),
+        notes=(*table.notes, *_notes(runs)),
+    )
+
+
+def _alone(benchmark: str, runs: Sequence[Run], labels: Mapping[str, str]) -> Filled:
+    lines = [
+        Line(name, tuple(_cell(run_of[benchmark], measure) for measure in metrics.MEASURES), ours=True)
+        for name, run_of in _systems(runs, labels)
+    ]
+    return Filled(benchmark, tuple(metrics.MEASURES.values()), 2, tuple(lines), tuple(_notes(runs)))
+
+
+def _systems(runs: Iterable[Run], labels: Mapping[str, str]) -> list[tuple[str, dict[str, Run]]]:
+    """(label, run by benchmark) of each system; the second run of one benchmark starts a row of its own."""
+    rows: list[tuple[str, str, dict[str, Run]]] = []
+    for run in runs:
+        system = run.manifest.system
+        row = next((found for key, _, found in rows if key == system and _benchmark(run) not in found), None)
+        if row is None:
+            row = {}
+            rows.append((system, labels.get(system, run.manifest.label), row))
+        row[_benchmark(run)] = run
+    return [(label, row) for _, label, row in rows]
+
+
+def _beside(theirs: Sequence[Line], ours: Sequence[Line]) -> list[Line]:
+    """Each of our rows under the published one of its name, the others at the end."""
+    left = list(ours)
+    lines: list[Line] = []
+    for line in theirs:
+        lines.append(line)
+        same = [own for own in left if own.name == line.name or (own.name == "paper" and line.name == OURS)]
+        lines += same
+        left = [own for own in left if own not in same]
+    return lines + left
+
+
+def _cell(run: Run | None, measure: str) -> Cell:
+    if run is None:
+        return Cell(None)
+    found = _scores(run)
+    value = float(getattr(found, measure))
+    if value != value:
+        return Cell(None)
+    low, high = found.intervals.get(measure, (float("nan"), float("nan")))
+    return Cell(100 * value, 50 * (high - low) if high == high else None)
+
+
+def _notes(runs: Iterable[Run]) -> list[str]:
+    """How each run came about: a number without this is not worth printing."""
+    notes: list[str] = []
+    for run in runs:
+        found, selection = _scores(run), run.manifest.identity["selection"]
+        part = f" of {run.planned} planned" if not run.complete else ""
+        chosen = f", the first {selection['limit']}" if selection["limit"] else ""
+        shuffled = f" after a shuffle with seed {selection['shuffle']}" if selection["shuffle"] is not None else ""
+        notes.append(
+            f"{run.manifest.label} on {_benchmark(run)} ({run.manifest.hash}): protocol {found.protocol},"
+            f" {found.n} samples{part}{chosen}{shuffled}, {found.n_scored} scored, {found.n_failed} failed."
+        )
+    return notes
+
+
+@lru_cache(maxsize=64)
+def _scores(run: Run) -> metrics.Scores:
+    """Scores once a run: its row has several columns, and intervals take time."""
+    return scores.score(run)
+
+
+def _benchmark(run: Run) -> str:
+    return str(run.manifest.identity["benchmark"])
+
+
+def _number(cell: Cell, decimals: int, plus_minus: str) -> str:
+    if cell.value is None:
+        return "–"
+    text = f"{cell.value:.{decimals}f}"
+    return text if cell.half_width is None else f"{text} {plus_minus} {cell.half_width:.1f}"
+
+
+def _markdown(table: Filled) -> str:
+    def escaped(text: str) -> str:
+        return text.replace("\\", "\\\\").replace("|", "\\|")
+
+    rows = [["Model", *table.columns]]
+    for line in table.lines:
+        name = f"**{escaped(line.name)}** (ours)" if line.ours else escaped(line.name)
+        rows.append([name, *(_number(cell, table.decimals, "±") for cell in line.cells)])
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = [
+        "| "
+        + " | ".join([row[0].ljust(widths[0]), *(v.rjust(w) for v, w in zip(row[1:], widths[1:], strict=True))])
+        + " |"
+        for row in rows
+    ]
+    rule = "|" + "|".join(["-" * (widths[0] + 2), *("-" * (width + 1) + ":" for width in widths[1:])]) + "|"
+    notes = [f"- {escaped(note)}" for note in table.notes]
+    return "\n".join([f"### {table.title}", "", lines[0], rule, *lines[1:], "", *notes]).rstrip() + "\n"
+
+
+def _latex(table: Filled) -> str:
+    def escaped(text: str) -> str:
+        marks = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "–": "--"}
+        return "".join(marks.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text)
+
+    lines = [f"% {note}" for note in table.notes]
+    lines += [
+        r"\begin{table}[t]",
+        r"  \centering",
+        f"  \\caption{{{escaped(table.title)}}}",
+        f"  \\begin{{tabular}}{{l{'r' * len(table.columns)}}}",
+        r"    \toprule",
+        "    " + " & ".join(["Model", *map(escaped, table.columns)]) + r" \\",
+        r"    \midrule",
+    ]
+    for line in table.lines:
+        name = f"\\textbf{{{escaped(line.name)}}} (ours)" if line.ours else escaped(line.name)
+        cells = [_number(cell, table.decimals, r"$\pm$").replace("–", "--") for cell in line.cells]
+        lines.append("    " + " & ".join([name, *cells]) + r" \\")
+    return "\n".join([*lines, r"    \bottomrule", r"  \end{tabular}", r"\end{table}"]) + "\n"
+
+
+def _csv(table: Filled) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["table", "model", "source", *(part for c in table.columns for part in (c, f"{c} 95% half width"))])
+    for line in table.lines:
+        cells = [
+            "" if value is None else f"{value:.{table.decimals}f}"
+            for cell in line.cells
+            for value in (cell.value, cell.half_width)
+        ]
+        writer.writerow([table.title, line.name, "ours" if line.ours else "published", *cells])
+    return text.getvalue()
