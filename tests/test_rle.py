@@ -40,6 +40,13 @@ def test_no_pixels() -> None:
         {"size": [-1, 4], "counts": ""},
         {"size": [2, 2], "counts": "é"},
         {"size": [2, 2], "counts": [9, 9, 9]},
+        {"size": [2, 2], "counts": [3]},
+        {"size": [2, 2], "counts": [5, -1]},
+        {"size": [2, 2], "counts": [[1, 1], [1, 1]]},
+        {"size": [2, 2], "counts": ""},
+        {"size": [2, 2], "counts": "3"},
+        {"size": [2, 2], "counts": "T"},
+        {"size": [2, 2], "counts": "oooooooooo0"},
         {"size": [10**6, 10**6], "counts": "0"},
         {"size": [2, 2], "counts": 4},
     ],
@@ -47,6 +54,19 @@ def test_no_pixels() -> None:
 def test_nonsense_is_refused(value: dict[str, object]) -> None:
     with pytest.raises(DataError):
         rle.decode(value)
+
+
+@given(st.lists(st.integers(0, 5000), min_size=1, max_size=40))
+def test_compressed_text_is_read_as_pycocotools_reads_it(runs: list[int]) -> None:
+    from pycocotools import mask as coco
+
+    size = [sum(runs), 1]
+    packed = coco.frPyObjects({"size": size, "counts": runs}, *size)
+
+    mask = rle.decode({"size": size, "counts": packed["counts"]})
+
+    np.testing.assert_array_equal(mask, coco.decode(packed).astype(bool))
+    np.testing.assert_array_equal(mask, rle.decode({"size": size, "counts": runs}))
 
 
 @given(st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=30))
