@@ -41,7 +41,7 @@ def pull(
     sets: SetOption = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before the download starts.")] = False,
 ) -> None:
-    """Fetch models; what a broken attempt left is used again.
+    """Fetch models. A broken connection is taken up again; files that are whole are not fetched twice.
 
     Says sizes, licences and gating first. HF_HOME moves the cache, HF_TOKEN opens gated models.
     """
