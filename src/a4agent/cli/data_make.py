@@ -10,44 +10,35 @@ import typer
 
 from a4agent.cli import common
 
-app = typer.Typer(help="Make benchmark data.", no_args_is_help=True)
 
-
-@app.callback()
-def _group() -> None:
-    """Make benchmark data."""
-
-
-@app.command("sim")
-def make_sim(
-    out: Annotated[Path, typer.Option("--out", help="The folder to write; new or empty.")],
+def make(
+    benchmark: Annotated[Literal["sim"], typer.Argument(metavar="BENCHMARK", help="sim: scenes from simulators.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The folder to write; new or empty.")],
     n: Annotated[int, typer.Option("--n", min=1, help="How many samples.")] = 200,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same files.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same files.")] = 0,
     split: Annotated[
-        Literal["dev", "test", "all"], typer.Option("--split", help="Which things to show: the splits share none.")
+        Literal["dev", "test", "all"], typer.Option(help="Which things to show: dev and test share none.")
     ] = "test",
-    workers: Annotated[int, typer.Option("--workers", min=1, help="Processes; the files do not depend on it.")] = min(
-        2, os.cpu_count() or 1
-    ),
-    things: Annotated[Path | None, typer.Option("--things", help="A TOML file of things instead of ours.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes, 2 by default; the files are the same.")] = None,
+    things: Annotated[Path | None, typer.Option(help="A TOML file that declares other things than ours.")] = None,
 ) -> None:
-    """Render pictures of articulated and handled things with exact truth: masks, boxes, points, depth, camera.
+    """Render pictures of things to handle, with exact truth: masks, boxes, points, depth and camera.
 
-    Needs the extra `sim` and three asset packages; the error says how to get them.
+    Needs the extra `sim` and three packages of assets; where they are missing, the error says how to get them.
     """
     from rich.progress import Progress
 
     from a4agent.sim.make import make_set
 
     with Progress(console=common.messages, transient=True) as progress:
-        bar = progress.add_task("rendering", total=n)
+        task = progress.add_task("rendering", total=n)
         folder = make_set(
             out,
             n=n,
             seed=seed,
             split=None if split == "all" else split,
             catalogue_path=things,
-            workers=workers,
-            on_sample=lambda done, _: progress.update(bar, completed=done),
+            workers=workers or min(2, os.cpu_count() or 1),
+            on_sample=lambda done, _: progress.update(task, completed=done),
         )
     print(folder)
