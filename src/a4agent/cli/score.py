@@ -85,7 +85,7 @@ def _each(data: Benchmark, masks: Predictions) -> Iterator[_Scored]:
         yield _Scored(
             sample.id,
             sample.truth.category or "none",
-            measure(prediction, truth),
+            measure(prediction, truth, alternatives=sample.truth.alternatives()),
             "" if prediction is not None else problem,
         )
 
