@@ -67,7 +67,8 @@ def _wrong_with(file: Path) -> str:
             data = json.loads(file.read_text("utf-8"))
         except ValueError as error:
             return f"not JSON ({error})"
-        if file.name.endswith(".index.json") and not isinstance(data.get("weight_map"), dict):
+        is_index = file.name.endswith(".index.json")
+        if is_index and not (isinstance(data, dict) and isinstance(data.get("weight_map"), dict)):
             return "an index without its weight_map"
     return ""
 
