@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import importlib.util
-import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from a4agent import models
 from a4agent.config import ExpertSettings, Settings, load_settings
-from a4agent.errors import A4Error
+from a4agent.errors import A4Error, CredentialError, MissingExtraError
 from a4agent.experts import registry
+from a4agent.experts.base import Role
 
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "offline": ("onnxruntime", "skimage", "cv2"),
@@ -54,22 +56,35 @@ def check_settings(settings: Settings) -> list[Missing]:
         for extra in settings.profile.needs
         if (modules := missing_modules(extra))
     ]
-    for role, spec in settings.expert_specs().items():
-        found += _check_expert(role, spec)
+    experts = settings.expert_specs()
+    try:
+        needs = models.needs(experts)
+    except A4Error as error:
+        return [*found, Missing(str(error), "correct the profile or the --set that names it")]
+    for need in needs:
+        if need.path is None:
+            size = f", {need.info.gigabytes:g} GB" if need.info.gigabytes else ""
+            found.append(Missing(f"the model {need.name}{size}", f"a4 models pull {need.name}"))
+    with_checkpoints = {role for need in needs for role in need.roles}
+    for role, spec in experts.items():
+        if role not in with_checkpoints:
+            found += _try_to_build(role, spec)
     return list(dict.fromkeys(found))
 
 
-def _check_expert(role: str, spec: ExpertSettings) -> list[Missing]:
-    """What the expert itself says: a factory may carry a function `missing(model, settings) -> [(what, fix)]`."""
+def _try_to_build(role: str, spec: ExpertSettings) -> list[Missing]:
+    """An expert without a checkpoint is quickly made, and says itself what it lacks: a key, a library."""
     try:
-        provider, model = registry.split(spec.expert)
-        factory = registry.factory_of(provider)
-        ask = getattr(factory, "missing", None)
-        return [Missing(what, fix) for what, fix in ask(model, spec.settings)] if ask else []
+        registry.create(spec.expert, _ROLES[role.rpartition(".")[2]], spec.settings).close()
+    except CredentialError as error:
+        variable = re.search(r"[A-Z][A-Z0-9]*_[A-Z0-9_]+", str(error))
+        return [Missing(f"a key for {spec.expert}", f"export {variable[0]}=..." if variable else str(error))]
+    except MissingExtraError as error:
+        what, _, fix = str(error).rpartition(": ")
+        return [Missing(what, fix)]
     except A4Error as error:
-        return [Missing(str(error), f"set {role} to an expert that is installed")]
+        return [Missing(f"{role}: {error}", f"--set {role}=PROVIDER:MODEL")]
+    return []
 
 
-def has_key(variable: str) -> bool:
-    """Whether an API key is in the environment."""
-    return bool(os.environ.get(variable, "").strip())
+_ROLES: Mapping[str, Role] = {role: role for role in ("vlm", "editor", "detector", "segmenter")}

@@ -109,7 +109,6 @@ class ProfileInfo(Table):
     summary: str = ""
     memory: str = ""
     licences: list[str] = []
-    downloads: list[str] = []
     needs: list[str] = []
     notes: str = ""
 

@@ -11,6 +11,7 @@ from rich.console import Console
 from a4agent.errors import A4Error, ConfigError, UserError
 
 if TYPE_CHECKING:
+    from a4agent.agent import A4Agent
     from a4agent.config import Settings
 
 OK, SOME_FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
@@ -43,6 +44,20 @@ def settings(profile: str | None, sets: list[str] | None = None, **extra: Any) -
         overrides[name.strip()] = parse_value(value.strip())
     overrides.update({name.replace("__", "."): value for name, value in extra.items() if value is not None})
     return load_settings(profile, overrides)
+
+
+def build_agent(settings: Settings) -> A4Agent:
+    """The agent of a command, after making sure that every model it needs is here or can be fetched.
+
+    Raises:
+        ModelFilesError: a model is not here and the hub cannot be reached; the message names all of them.
+        ConfigError: an expert that cannot be built.
+    """
+    from a4agent import models
+    from a4agent.agent import A4Agent
+
+    models.check(settings.expert_specs())
+    return A4Agent.from_settings(settings)
 
 
 def fail(error: BaseException) -> int:

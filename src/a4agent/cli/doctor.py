@@ -105,10 +105,23 @@ def _show(report: dict[str, Any]) -> None:
             f"  {good if there else bad} {name}{'' if there else '  [dim]not set: export ' + name + '=...[/]'}"
         )
     console.print("\n[bold]Profiles[/]")
+    width = max(map(len, report["profiles"]))
     for name, missing in report["profiles"].items():
         if not missing:
             console.print(f"  {good} {name}")
             continue
-        first = missing[0]
-        more = f" [dim]and {len(missing) - 1} more: a4 profiles {name}[/]" if len(missing) > 1 else ""
-        console.print(f"  {bad} {name:22} {escape(first['what'])}: [cyan]{escape(first['fix'])}[/]{more}")
+        console.print(f"  {bad} {name:{width}} {_in_short(missing):32} [cyan]a4 profiles {name}[/]")
+
+
+def _in_short(missing: list[dict[str, str]]) -> str:
+    """ "3 models, 1 key to get": what is missing, counted by the kind of command that gets it."""
+    kinds = {"pip": "library", "a4 models pull": "model", "export": "key"}
+    fixes = {one["fix"] for one in missing}
+    counts = {word: sum(fix.startswith(start) for fix in fixes) for start, word in kinds.items()}
+    counts["thing"] = len(fixes) - sum(counts.values())
+    said = [f"{n} {word if n == 1 else _plural(word)}" for word, n in counts.items() if n]
+    return f"{', '.join(said)} to get"
+
+
+def _plural(word: str) -> str:
+    return f"{word[:-1]}ies" if word.endswith("y") and word != "key" else f"{word}s"

@@ -105,13 +105,12 @@ def _run(settings: Settings, samples: dict[str, Path], instruction: str, out: Pa
 
     from a4agent import engine
     from a4agent.affordance import Query
-    from a4agent.agent import A4Agent
 
     queries = (Query(name, path, instruction) for name, path in samples.items())
     failed = 0
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with (
-        A4Agent.from_settings(settings) as agent,
+        common.build_agent(settings) as agent,
         Progress(*columns, console=messages, transient=True, disable=len(samples) == 1) as progress,
     ):
         task = progress.add_task("predicting", total=len(samples))

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from a4agent import models
 from a4agent.availability import check_profile
 from a4agent.config import Settings, load_settings, profile_names
 
@@ -30,9 +31,18 @@ def _as_dict(name: str, settings: Settings) -> dict[str, object]:
     return {
         "name": name,
         **settings.profile.model_dump(),
+        "downloads": downloads(settings),
         "experts": {role: spec.expert for role, spec in settings.expert_specs().items()},
         "missing": [{"what": missing.what, "fix": missing.fix} for missing in check_profile(name)],
     }
+
+
+def downloads(settings: Settings) -> list[str]:
+    """The checkpoints of a profile with their sizes, here or not; `a4 models list` says more."""
+    return [
+        f"{need.name} ({need.info.gigabytes:g} GB)" if need.info.gigabytes else need.name
+        for need in models.needs(settings.expert_specs())
+    ]
 
 
 def _show_all(found: dict[str, Settings]) -> None:
@@ -65,7 +75,7 @@ def _show_one(name: str, settings: Settings) -> None:
         console.print(f"  {role:18} {escape(spec.expert)}{f'  [dim]({escape(own)})[/]' if own else ''}")
     for title, lines in (
         ("memory", [info.memory]),
-        ("downloads", info.downloads),
+        ("downloads", downloads(settings)),
         ("licences", info.licences),
         ("extras", info.needs),
         ("notes", [info.notes]),
