@@ -89,6 +89,7 @@ class Given:
     `detection` is an `experts.base.Detection`; `regions` are final.
     """
 
+    imagination: Imagination | None = None
     target: Target | None = None
     detection: Any = None
     regions: tuple[Region, ...] | None = None

@@ -6,7 +6,7 @@ dreamer.imagine  ->  thinker.decide  ->  spotter.locate
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from a4agent.config import ExpertSettings, Settings
 
 StageName = Literal["imagination", "target", "detection", "affordance"]
+STAGES = ("dreamer", "thinker", "spotter")
 OnStage = Callable[[StageName, Any], None]
 
 
@@ -52,8 +53,11 @@ class A4Agent:
         return cls.from_settings(load_settings(profile, overrides))
 
     @classmethod
-    def from_settings(cls, settings: Settings) -> A4Agent:
-        """The agent of settings that are merged already; experts that are the same are built once."""
+    def from_settings(cls, settings: Settings, stages: Collection[str] = STAGES) -> A4Agent:
+        """The agent of settings that are merged already; experts that are the same are built once.
+
+        A stage that is not in `stages` gets no experts: on many machines, each process holds some stages.
+        """
         from a4agent.experts import registry
 
         built: dict[str, Any] = {}
@@ -64,11 +68,15 @@ class A4Agent:
                 built[key] = registry.create(spec.expert, role, spec.settings)
             return built[key]
 
-        d, t, s = settings.dreamer, settings.thinker, settings.spotter
+        d = settings.dreamer if "dreamer" in stages else None
+        t = settings.thinker if "thinker" in stages else None
+        s = settings.spotter
         dreamer = d and Dreamer(expert(d.vlm, "vlm"), expert(d.editor, "editor"), d.prompts, d.seed, d.max_tokens)
         thinker = t and Thinker(expert(t.vlm, "vlm"), t.prompts, t.max_tokens, t.reasks, t.structured)
-        segmenter = s.segmenter and expert(s.segmenter, "segmenter")
-        spotter = Spotter(expert(s.detector, "detector"), segmenter, s.pairing)
+        detector = segmenter = None
+        if "spotter" in stages:
+            detector, segmenter = expert(s.detector, "detector"), s.segmenter and expert(s.segmenter, "segmenter")
+        spotter = Spotter(cast(Any, detector), segmenter, s.pairing)
         return cls(dreamer, thinker, spotter, settings.image.max_pixels)
 
     def predict(
@@ -79,11 +87,13 @@ class A4Agent:
         given: Given | None = None,
         on_stage: OnStage | None = None,
         on_step: Callable[[int, int], None] | None = None,
+        until: Literal["imagination", "target", "affordance"] = "affordance",
     ) -> Affordance:
         """Where to act for `instruction` in `image` (a path, bytes, PIL image or uint8 RGB array).
 
         What a model does wrong is a status and an error text of the answer. `on_stage` hears each result as
         it comes; `on_step` the editor's progress (done, total). Answers in `given` are not asked for again.
+        Stages after `until` do not run: an agent spread over machines answers one stage at a time.
 
         Raises:
             InputError: the image cannot be read or the instruction is blank.
@@ -96,24 +106,27 @@ class A4Agent:
         answer = Affordance(instruction, picture.size, image=picture)
         try:
             found_already = given.detection is not None or given.regions is not None
-            if self.dreamer and given.target is None and not found_already:
+            imagination = given.imagination
+            if imagination is None and self.dreamer and given.target is None and not found_already:
                 imagination = self.dreamer.imagine(picture, instruction, recorder, on_step)
+            if imagination is not None:
                 answer = replace(answer, imagination=imagination)
                 tell("imagination", imagination)
             target = given.target
-            if target is None and self.thinker and not found_already:
-                target = self.thinker.decide(picture, instruction, answer.imagination, recorder)
+            if target is None and self.thinker and not found_already and until != "imagination":
+                target = self.thinker.decide(picture, instruction, imagination, recorder)
             if target is not None:
                 answer = replace(answer, target=target)
                 tell("target", target)
-            regions = given.regions
-            if regions is None:
-                phrase = target.object_part if target else instruction
-                regions = self.spotter.locate(
-                    picture, phrase, recorder, given.detection, lambda found: tell("detection", found)
-                )
-            found = any(region.mask.any() for region in regions)
-            answer = replace(answer, regions=regions, status="ok" if found else "empty")
+            if until == "affordance":
+                regions = given.regions
+                if regions is None:
+                    phrase = target.object_part if target else instruction
+                    regions = self.spotter.locate(
+                        picture, phrase, recorder, given.detection, lambda found: tell("detection", found)
+                    )
+                found = any(region.mask.any() for region in regions)
+                answer = replace(answer, regions=regions, status="ok" if found else "empty")
         except A4Error as error:
             if error.fatal or isinstance(error, BudgetExceeded):
                 raise

@@ -49,7 +49,7 @@ def run(
     with _Interrupts(pool):
         try:
             answers = pool.answers()
-            for _, query, affordance in _in_order(answers) if ordered else answers:
+            for _, query, affordance in in_order(answers) if ordered else answers:
                 yield query, affordance
                 del query, affordance
         finally:
@@ -151,7 +151,7 @@ class _Pool:
             return self._taken - 1, query
 
 
-def _in_order(answers: Iterator[Answered]) -> Iterator[Answered]:
+def in_order(answers: Iterator[Answered]) -> Iterator[Answered]:
     """The same answers by number; those behind a gap, which a stopped run may leave, come last."""
     waiting: dict[int, Answered] = {}
     wanted = 0

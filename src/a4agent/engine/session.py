@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 from a4agent.affordance import Affordance, Given, Query
 from a4agent.agent import A4Agent
@@ -38,6 +38,8 @@ from a4agent.experts.base import (
 )
 
 MOST_IN_FLIGHT = 128
+
+Until = Literal["imagination", "target", "affordance"]
 
 
 class _Sample(threading.local):
@@ -68,7 +70,7 @@ class Session:
         if settings.max_sample_seconds is not None:
             threading.Thread(target=self._watch, args=(settings.max_sample_seconds,), daemon=True).start()
 
-    def predict(self, query: Query, given: Given | None = None) -> Affordance:
+    def predict(self, query: Query, given: Given | None = None, until: Until = "affordance") -> Affordance:
         """The answer to a query; whatever is wrong with this sample alone is a status and an error text.
 
         Raises:
@@ -77,7 +79,7 @@ class Session:
         self.sample.seconds_left = self.settings.max_sample_seconds
         self.sample.chats = ()
         try:
-            answer = self._agent.predict(query.image, query.instruction, given=given)
+            answer = self._agent.predict(query.image, query.instruction, given=given, until=until)
         except Exception as error:
             if isinstance(error, A4Error) and (error.fatal or isinstance(error, BudgetExceeded)):
                 raise

@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass, field
 
-from a4agent.affordance import Affordance
+from a4agent.affordance import Affordance, Trace
 from a4agent.experts.base import Usage
 
 
@@ -86,6 +86,17 @@ class Stats:
 
     def count_sample(self, affordance: Affordance) -> None:
         self.samples[affordance.status] += 1
+
+    def count_trace(self, trace: Trace) -> None:
+        """Count the calls of a sample that was answered elsewhere."""
+        for step in trace.steps:
+            expert = self.of(step.role, step.expert)
+            if not step.cached:
+                expert.count_call(step.attempts, step.seconds)
+                expert.retries += step.attempts - 1
+                expert.failures += bool(step.error)
+            if not step.error:
+                expert.count_answer(Usage(cached=step.cached, cost=step.cost))
 
     def lines(self) -> list[str]:
         """For people: one line an expert."""

@@ -1,0 +1,272 @@
+"""A Ray of two CPUs answers as the local engine does, with the same cache, and says the same when nothing can work.
+
+The experts come from a package of entry points that this test installs into a folder: actors are processes of
+their own and find it as they would find anyone's.
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import pickle
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from a4agent import engine
+from a4agent.affordance import Affordance, Given, Query, Target
+from a4agent.agent import A4Agent
+from a4agent.config import Settings
+from a4agent.engine import Stats
+from a4agent.engine import ray as engine_ray
+from a4agent.errors import BudgetExceeded, ConfigError, CredentialError, UnknownNameError
+from a4agent.experts import registry
+
+ray = pytest.importorskip("ray")
+pyarrow = pytest.importorskip("pyarrow")
+
+pytestmark = [
+    # Ray's own: it forks, and leaves sockets and files to its exit.
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+    pytest.mark.filterwarnings("ignore:.*:DeprecationWarning:ray.*"),
+    pytest.mark.filterwarnings("ignore:.*RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO.*:FutureWarning"),
+]
+
+PLUGIN = """
+import os, pathlib, zlib
+import numpy as np
+from a4agent.errors import CredentialError, ProviderUnavailable
+from a4agent.experts.base import ChatAnswer, Usage
+from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedSegmenter, ScriptedVLM, output
+
+def note(log, what):
+    if log:
+        with open(log, "a") as file:
+            file.write(what + "\\n")
+
+def create(model, role, *, log=""):
+    tries = {}
+
+    def chat(request):
+        note(log, f"{role}:{model}")
+        number = int(np.asarray(request.images[0])[0, 0, 0])
+        if model == "locked":
+            return CredentialError("the key of this expert is refused")
+        if number % 5 == 3 and tries.setdefault(number, 0) == 0:
+            tries[number] = 1
+            return ProviderUnavailable("a hiccup")
+        if "### Output" not in request.text:
+            return ChatAnswer(f"Edit it. {request.text[-20:]}", usage=Usage(cost=0.01))
+        if number % 7 == 6:
+            return ChatAnswer("I cannot tell.")
+        seen = zlib.crc32(b"".join(image.tobytes() for image in request.images)) % 10
+        return ChatAnswer(output(f"part {seen}"), usage=Usage(cost=0.01))
+
+    def edit(request):
+        note(log, f"{role}:{model}")
+        return request.image.rotate(180)
+
+    def detect(request):
+        note(log, f"{role}:{model}")
+        shift = int(request.phrase.split()[-1])
+        return [[shift, 1, shift + 5, 9]]
+
+    def segment(request):
+        note(log, f"{role}:{model}")
+        from a4agent.testing import fill_boxes
+        return fill_boxes(request)
+
+    make = {"vlm": (ScriptedVLM, chat), "editor": (ScriptedEditor, edit), "detector": (ScriptedDetector, detect),
+            "segmenter": (ScriptedSegmenter, segment)}
+    kind, answer = make[role]
+    return kind(answer, id=f"plugin:{model}", max_batch=1 if role == "editor" else 4)
+"""
+
+
+@pytest.fixture(scope="module")
+def _plugin(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    site = tmp_path_factory.mktemp("site")
+    (site / "ray_test_plugin.py").write_text(PLUGIN)
+    info = site / "ray_test_plugin-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: ray-test-plugin\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[a4agent.experts]\nplugin = ray_test_plugin:create\n")
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(site), before]))
+    sys.path.insert(0, str(site))
+    importlib.invalidate_caches()
+    registry._entry_points.cache_clear()  # pyright: ignore[reportPrivateUsage]
+    yield
+    sys.path.remove(str(site))
+    registry._entry_points.cache_clear()  # pyright: ignore[reportPrivateUsage]
+    os.environ.pop("PYTHONPATH")
+    if before is not None:
+        os.environ["PYTHONPATH"] = before
+
+
+@pytest.fixture(scope="module")
+def _cluster(_plugin: None) -> Iterator[None]:
+    logging.getLogger("ray").setLevel(logging.ERROR)
+    ray.init(
+        num_cpus=2,
+        include_dashboard=False,
+        logging_level=logging.ERROR,
+        log_to_driver=False,
+        object_store_memory=150 * 2**20,
+    )
+    yield
+    ray.shutdown()
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> Settings:
+    log = str(tmp_path / "calls.log")
+    table: dict[str, Any] = {
+        "name": "test",
+        "dreamer": {"vlm": {"expert": "plugin:a", "log": log}, "editor": {"expert": "plugin:e", "log": log}},
+        "thinker": {"vlm": {"expert": "plugin:b", "log": log}},
+        "spotter": {
+            "detector": {"expert": "plugin:d", "log": log},
+            "segmenter": {"expert": "plugin:s", "log": log},
+        },
+        "engine": {"retry_wait": 0.01, "cache": "write", "cache_dir": str(tmp_path / "cache")},
+        "ray": {stage: {"num_cpus": 0.25, "batch": 8} for stage in engine_ray.STAGES},
+    }
+    return Settings.model_validate(table)
+
+
+@pytest.fixture
+def queries(tmp_path: Path) -> list[Query]:
+    found: list[Query] = []
+    for number in range(24):
+        path = tmp_path / f"{number}.png"
+        Image.fromarray(np.full((12, 16, 3), (number, 7, 9), np.uint8)).save(path)
+        found.append(Query(f"q{number}", path, f"use thing {number}"))
+    return [*found, Query("gone", tmp_path / "gone.png", "open"), Query("blank", found[0].image, " ")]
+
+
+def calls(tmp_path: Path) -> list[str]:
+    log = tmp_path / "calls.log"
+    found = log.read_text().splitlines() if log.exists() else []
+    log.unlink(missing_ok=True)
+    return sorted(found)
+
+
+def row(affordance: Affordance) -> dict[str, Any]:
+    """What a run keeps of an answer, but the seconds."""
+    found = affordance.to_dict()
+    for step in found["trace"]:
+        step["seconds"] = 0.0
+    return found
+
+
+@pytest.mark.usefixtures("_cluster")
+def test_rows_are_the_same_as_the_local_engine_s_and_so_is_the_cache(
+    settings: Settings, queries: list[Query], tmp_path: Path
+) -> None:
+    elsewhere = settings.model_copy(
+        update={"engine": settings.engine.model_copy(update={"cache_dir": tmp_path / "other"})}
+    )
+    with A4Agent.from_settings(elsewhere) as agent:
+        local = dict(engine.run(agent, queries, settings=elsewhere.engine))
+    local_calls = calls(tmp_path)
+    stats = Stats()
+    spread = {query.id: answer for query, answer in engine_ray.run(settings, queries, stats=stats)}
+    assert calls(tmp_path) == local_calls
+    assert len(spread) == len(local) == len(queries)
+    assert {answer.status for answer in spread.values()} == {"ok", "invalid", "error"}
+    for query, answer in local.items():
+        assert row(spread[query.id]) == row(answer), query.id
+    assert stats.samples.total() == len(queries)
+    assert stats.cost == pytest.approx(sum(answer.trace.cost for answer in spread.values()))
+    assert sum(expert.retries for expert in stats.experts.values()) > 0
+
+    # The local engine finds what the actors have kept.
+    with A4Agent.from_settings(settings) as agent:
+        again = {q.id: a for q, a in engine.run(agent, queries, settings=settings.engine)}
+    for name, answer in again.items():
+        if answer.status == "ok":
+            assert all(step.cached for step in answer.trace.steps)
+            assert np.array_equal(answer.mask, spread[name].mask)
+    assert set(calls(tmp_path)) <= {"vlm:a", "vlm:b", "editor:e"}  # of the samples that came to nothing
+
+
+class InProcess:
+    """A dataset whose stages run here, in the order of Ray's operators: the logic without the start of actors."""
+
+    def __init__(self, settings: Settings, rows: list[Any], pools: dict[str, dict[str, float]]) -> None:
+        packed = pyarrow.table({"row": pyarrow.array([pickle.dumps(row) for row in rows], pyarrow.large_binary())})
+        for stage in pools:
+            actor = engine_ray._Stage(settings.model_dump(mode="json"), stage)
+            packed = actor(packed)
+            if actor._broken is None:
+                actor._session.close()
+        self._rows = packed.to_pylist()
+
+    def iter_rows(self) -> Iterator[dict[str, Any]]:
+        return iter(reversed(self._rows))
+
+
+@pytest.fixture
+def _in_process(monkeypatch: pytest.MonkeyPatch, _plugin: None) -> None:
+    monkeypatch.setattr(engine_ray, "_dataset", InProcess)
+    monkeypatch.setattr(engine_ray, "_start", lambda ray: False)
+
+
+@pytest.mark.usefixtures("_in_process")
+def test_given_answers_order_and_a_budget(settings: Settings, queries: list[Query], tmp_path: Path) -> None:
+    given = Given(target=Target("t", "o", "part 3"))
+    answers = list(engine_ray.run(settings, queries[:9], given=lambda query: given, ordered=True))
+    assert [query.id for query, _ in answers] == [f"q{number}" for number in range(9)]
+    assert {answer.target.object_part for _, answer in answers if answer.target} == {"part 3"}
+    assert set(calls(tmp_path)) == {"detector:d", "segmenter:s"}
+
+    tight = settings.model_copy(update={"engine": settings.engine.model_copy(update={"max_cost": 0.05})})
+    with pytest.raises(BudgetExceeded, match="max_cost"):
+        list(engine_ray.run(tight, queries))
+
+
+@pytest.mark.usefixtures("_cluster")
+def test_a_refused_key_stops_the_run_with_its_reason(settings: Settings, queries: list[Query]) -> None:
+    table = settings.model_dump(mode="json")
+    table["thinker"]["vlm"]["expert"] = "plugin:locked"
+    with pytest.raises(CredentialError, match="the key of this expert is refused"):
+        list(engine_ray.run(Settings.model_validate(table), queries))
+
+
+@pytest.mark.usefixtures("_in_process")
+def test_an_expert_that_cannot_be_built_stops_the_run_with_its_reason(settings: Settings, queries: list[Query]) -> None:
+    table = settings.model_dump(mode="json")
+    table["thinker"]["vlm"]["expert"] = "plugin-that-is-not-there:x"
+    with pytest.raises(UnknownNameError, match="plugin-that-is-not-there"):
+        list(engine_ray.run(Settings.model_validate(table), queries))
+
+
+def test_pools_come_from_the_settings(settings: Settings) -> None:
+    def changed(**tables: dict[str, float]) -> Settings:
+        return settings.model_copy(update={"ray": tables})
+
+    assert engine_ray.pool_of(changed(), "thinker") == {"replicas": 1, "num_cpus": 0.5, "num_gpus": 0, "batch": 16}
+    assert engine_ray.pool_of(changed(dreamer={"replicas": 12, "num_gpus": 1}), "dreamer") == {
+        "replicas": 12,
+        "num_cpus": 0.5,
+        "num_gpus": 1,
+        "batch": 16,
+    }
+    with pytest.raises(UnknownNameError, match="did you mean 'dreamer'"):
+        engine_ray.pool_of(changed(dreamers={"replicas": 2}), "dreamer")
+    with pytest.raises(UnknownNameError, match="did you mean 'num_gpus'"):
+        engine_ray.pool_of(changed(dreamer={"gpus": 2}), "dreamer")
+    with pytest.raises(ConfigError, match="replicas"):
+        engine_ray.pool_of(changed(dreamer={"replicas": 0}), "dreamer")
+
+
+def test_no_queries_start_no_cluster(settings: Settings) -> None:
+    assert list(engine_ray.run(settings, [])) == []
