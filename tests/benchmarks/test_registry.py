@@ -6,7 +6,6 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
-import tomllib
 
 from a4agent.benchmarks import registry
 from a4agent.benchmarks.base import Benchmark
@@ -47,15 +46,3 @@ def test_a_broken_plugin_is_a_warning_that_names_it(monkeypatch: pytest.MonkeyPa
     with pytest.warns(UserWarning, match="no_such_module_here"), pytest.raises(ConfigError, match="'broken'"):
         registry.load("broken", tmp_path)
     assert registry.names() == ["broken"]
-
-
-def test_published_tables_are_whole() -> None:
-    file = Path(registry.__file__).with_name("tables.toml")
-    tables = tomllib.loads(file.read_text())
-
-    assert set(tables) >= {"reasonaff", "ragnet", "umd", "ablation_imagination", "ablation_components"}
-    for name, table in tables.items():
-        columns = table.pop("columns")
-        for system, values in table.items():
-            assert len(values) == len(columns), (name, system)
-            assert all(0 <= value <= 100 for value in values)

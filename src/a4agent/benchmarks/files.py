@@ -64,13 +64,14 @@ def read_mask(path: Path) -> np.ndarray:
                 raise DataError(f"the mask {str(path)!r} has {image.width} x {image.height} pixels, which is too many")
             if image.mode in ("RGBA", "LA", "PA"):
                 image = image.convert(image.mode[:-1] if image.mode != "PA" else "RGB")
-            foreground = np.asarray(np.asarray(image) != 0)
+            values = np.asarray(image)
     except DataError:
         raise
     except FileNotFoundError as error:
         raise DataError(f"no such mask: {str(path)!r}") from error
     except Exception as error:  # decoders raise errors of their own: struct.error, zlib.error, SyntaxError, ...
         raise DataError(f"the mask {str(path)!r} cannot be read: {error}") from error
+    foreground = values if values.dtype == np.bool_ else np.not_equal(values, 0)
     return np.logical_or.reduce(foreground, axis=2) if foreground.ndim == 3 else foreground
 
 

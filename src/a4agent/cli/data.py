@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,6 +10,7 @@ import typer
 
 from a4agent.cli import common
 from a4agent.cli.benchmark_data import NameArgument, OptionsOption, RuleOption, opened
+from a4agent.cli.data_make import make
 from a4agent.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
@@ -19,8 +18,7 @@ if TYPE_CHECKING:
     from a4agent.benchmarks.check import Check
 
 app = typer.Typer(no_args_is_help=True, help="Check benchmark data, list what it asks, or make some.")
-if find_spec("a4agent.cli.data_make"):
-    app.command("make")(import_module("a4agent.cli.data_make").make)
+app.command("make")(make)
 PathArgument = Annotated[Path, typer.Argument(metavar="PATH", help="The folder of the dataset.")]
 SHOWN = 10
 
