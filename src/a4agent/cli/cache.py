@@ -1,0 +1,68 @@
+"""`a4 cache info|clear`: the answers kept on disk."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from a4agent.cli import common
+from a4agent.errors import InputError
+
+if TYPE_CHECKING:
+    from a4agent.engine.cache import CacheInfo
+
+app = typer.Typer(help="Show or clear the answers kept on disk.", no_args_is_help=True)
+
+FolderOption = Annotated[
+    Path | None, typer.Option("--folder", help="Another cache than the one of the settings (engine.cache_dir).")
+]
+
+
+@app.command()
+def info(
+    folder: FolderOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Say where the cache is and how much it holds."""
+    from a4agent.engine.cache import Cache, CacheInfo
+
+    place, limit_gb = _place(folder)
+    found = Cache(place).info() if place.is_dir() else CacheInfo(place, 0, 0)
+    if as_json:
+        row = {"folder": str(place), "entries": found.entries, "bytes": found.bytes, "limit_bytes": int(limit_gb * 1e9)}
+        print(json.dumps(row))
+    else:
+        print(f"{place}: {_told(found)}; the limit is {limit_gb:g} GB (engine.cache_gb)")
+
+
+@app.command()
+def clear(
+    folder: FolderOption = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
+) -> None:
+    """Remove all answers; the next run asks for them again."""
+    from a4agent.engine.cache import Cache
+
+    place, _ = _place(folder)
+    if not place.is_dir():
+        print(f"{place}: nothing to remove")
+        return
+    cache = Cache(place)
+    if not yes and not typer.confirm(f"Remove {_told(cache.info())} in {place}?", default=False, err=True):
+        raise InputError("nothing was removed; add --yes to remove without a question")
+    print(f"{place}: removed {_told(cache.clear())}")
+
+
+def _place(folder: Path | None) -> tuple[Path, float]:
+    """The cache folder and its limit in GB."""
+    from a4agent.engine.cache import default_folder
+
+    engine = common.settings(None).engine
+    return folder or engine.cache_dir or default_folder(), engine.cache_gb
+
+
+def _told(info: CacheInfo) -> str:
+    return f"{info.entries} answers, {info.bytes / 1e6:.1f} MB"
