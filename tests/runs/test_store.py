@@ -98,7 +98,7 @@ def test_a_damaged_line_in_the_middle_is_named(tmp_path: Path) -> None:
         read_run(tmp_path / "run")
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(cut=st.integers(0, 400), junk=st.binary(max_size=5))
 def test_a_file_cut_anywhere_is_taken_up_again(tmp_path: Path, cut: int, junk: bytes) -> None:
     folder = tmp_path / f"{cut}-{junk.hex()}"

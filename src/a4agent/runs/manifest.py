@@ -28,6 +28,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timezone
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -121,21 +122,28 @@ def differences(there: Any, here: Any, name: str = "") -> list[str]:
 
 def circumstances() -> dict[str, Any]:
     """When, where, by what command and with which versions this process runs."""
-    versions = {"python": platform.python_version()}
-    for library in ("a4agent", *LIBRARIES):
-        try:
-            versions[library] = importlib.metadata.version(library)
-        except importlib.metadata.PackageNotFoundError:
-            continue
     return {
         "started": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "machine": f"{platform.system()} {platform.machine()}",
-        "versions": versions,
+        "versions": versions(),
         "git": git_state(Path(__file__).parent),
     }
 
 
+@cache
+def versions() -> dict[str, str]:
+    """The versions of Python, of this package and of the libraries that decide answers, where they are installed."""
+    found = {"python": platform.python_version()}
+    for library in ("a4agent", *LIBRARIES):
+        try:
+            found[library] = importlib.metadata.version(library)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+@cache
 def git_state(folder: Path) -> dict[str, Any] | None:
     """Commit and dirtiness of the checkout that holds this code, None outside of one."""
 
