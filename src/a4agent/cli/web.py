@@ -1,0 +1,45 @@
+"""`a4 app`: the web page to try it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from a4agent.cli import common
+from a4agent.errors import require
+
+
+def app(
+    profile: common.ProfileOption = None,
+    host: Annotated[
+        str, typer.Option(help="The address to listen on; beyond loopback a password is needed.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one.")] = 7860,
+    browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = False,
+    sets: common.SetOption = None,
+) -> None:
+    """Open the web page: drop a photo, say what to do, and watch the stages answer.
+
+    Beyond loopback, visitors log in as a4 with the token of A4_SERVER_TOKEN as password.
+    """
+    require("gradio", extra="app")
+    from a4agent.agent import A4Agent
+    from a4agent.serve import auth, run
+    from a4agent.serve.app import create_page
+
+    token = auth.read_token(host)
+    first = common.settings(profile, sets)
+
+    def load(name: str) -> A4Agent:
+        return A4Agent.from_settings(first if name == first.name else common.settings(name, sets))
+
+    listening = run.bind(host, port)
+    page = create_page(load, profile=first.name, auth=("a4", token) if token else None)
+    url = run.url_of(listening)
+    common.messages.print(f"the page is at {url}; Ctrl+C ends")
+    if browser:
+        import webbrowser
+
+        webbrowser.open(url)
+    run.run(page, listening, seconds=10)

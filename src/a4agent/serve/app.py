@@ -1,0 +1,187 @@
+"""The web page: drop a photo, say what to do, and watch the three stages answer.
+
+    page = create_page(load=A4Agent.from_profile, profile="offline")
+
+Built with gradio. The predictions of all visitors are one queue, one at a time; nothing is loaded from elsewhere.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import AsyncGenerator, Callable, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from fastapi import FastAPI
+from starlette.middleware import Middleware
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from a4agent.agent import A4Agent
+from a4agent.availability import Missing, check_profile
+from a4agent.config import profile_names
+from a4agent.errors import require
+from a4agent.serve import cards
+from a4agent.serve.visit import LoadedAgent, Visit
+
+os.environ.setdefault("GRADIO_ANALYTICS_ENABLED", "False")
+
+ONE_AT_A_TIME = "models"
+MOST_WAITING = 32
+HERE = Path(__file__).parent
+FONTS = ["system-ui", "Segoe UI", "Roboto", "Helvetica Neue", "sans-serif"]
+EXAMPLES = (
+    ("thermos.jpg", "carry the bottle by its handle"),
+    ("hammer.jpg", "drive a nail into the wood"),
+    ("door.jpg", "open the door"),
+)
+POLICY = (
+    "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; font-src 'self' data:;"
+    " script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; connect-src 'self' blob: data:; worker-src 'self' blob:"
+)
+"""With this header the browser itself refuses whatever would come from another host."""
+
+PICK_A_PROFILE = """
+const mark = () => element.querySelectorAll('input[type=radio]').forEach(i => { i.checked = i.value === props.value; });
+element.addEventListener('change', event => {
+  if (event.target.type !== 'radio') return;
+  props.value = event.target.value;
+  requestAnimationFrame(mark);
+  trigger('change');
+});
+watch('value', mark);
+mark();
+"""
+HEAD = (
+    '<header class="a4-head"><h1>Where do I act?</h1>'
+    "<p>Show a photo and say what you want to do: the part to act on comes back, with the reasons.</p></header>"
+)
+FADE = "opacity => { document.documentElement.style.setProperty('--a4-opacity', opacity); }"
+
+
+def create_page(
+    load: Callable[[str], A4Agent],
+    *,
+    profile: str = "offline",
+    check: Callable[[str], Sequence[Missing]] = check_profile,
+    auth: tuple[str, str] | None = None,
+) -> FastAPI:
+    """The application. `load` makes the agent of a profile, which is kept; `profile` is the one chosen at first.
+
+    `check` says what is missing for a profile; `auth` is a user name and password that the page asks for.
+
+    Raises:
+        MissingExtraError: gradio is not installed.
+    """
+    gr = require("gradio", extra="app")
+    loaded = LoadedAgent(load)
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
+        yield
+        loaded.close()
+
+    app = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, middleware=[Middleware(_Policy)])
+    theme = gr.themes.Base(
+        primary_hue="rose", neutral_hue="slate", font=FONTS, font_mono=["ui-monospace", "monospace"], radius_size="lg"
+    )
+    return gr.mount_gradio_app(
+        app,
+        _blocks(gr, Visit(loaded, check), profile, check),
+        path="/",
+        auth=auth,
+        theme=theme,
+        css_paths=HERE / "page.css",
+        footer_links=[],
+        max_file_size="32mb",
+        ssr_mode=False,
+        run_history=False,
+    )
+
+
+def _blocks(gr: Any, visit: Visit, profile: str, check: Callable[[str], Sequence[Missing]]) -> Any:
+    """The layout, and what happens when."""
+    names = sorted({*profile_names(), profile}, key=lambda name: (name != profile, name))
+    rows = [(name, visit.summary(name), [(m.what, m.fix) for m in check(name)]) for name in names]
+    with gr.Blocks(title="a4agent: where do I act?", analytics_enabled=False, delete_cache=(600, 3600)) as blocks:
+        gr.HTML(HEAD)
+        with gr.Row(elem_classes="a4-columns"):
+            with gr.Column(scale=4, min_width=320):
+                photo = gr.Image(
+                    sources=["upload", "clipboard"], type="filepath", label="Photo", elem_id="photo", height=280
+                )
+                photo.preprocess = _path
+                instruction = gr.Textbox(
+                    label="What do you want to do?",
+                    placeholder="open the top drawer",
+                    elem_id="instruction",
+                    max_lines=3,
+                )
+                run = gr.Button("Find the part", variant="primary", elem_id="run")
+                gr.Examples(_examples(), [photo, instruction], label="Or try one of these", elem_id="examples")
+                chosen = gr.HTML(
+                    value=profile,
+                    rows=cards.profile_rows(rows),
+                    html_template="${rows}",
+                    js_on_load=PICK_A_PROFILE,
+                    elem_id="profiles",
+                )
+                dream = gr.Checkbox(
+                    value=True,
+                    label="Imagine the action first (the Dreamer)",
+                    visible=visit.dreams(profile),
+                    elem_id="dream",
+                )
+            with gr.Column(scale=7, min_width=360):
+                message = gr.HTML(elem_id="message")
+                picture = gr.HTML(cards.picture(None), elem_id="answer")
+                opacity = gr.Slider(0, 1, 0.55, step=0.01, label="Mask opacity", elem_id="opacity", visible=False)
+                stages = gr.HTML(cards.stages(None), elem_id="stages")
+                timings = gr.HTML(elem_id="timings")
+                with gr.Row(elem_classes="a4-downloads"):
+                    files = [
+                        gr.DownloadButton(label, visible=False, elem_id=elem_id, size="sm")
+                        for label, elem_id in (
+                            ("JSON", "get-json"),
+                            ("Picture (PNG)", "get-png"),
+                            ("Mask (PNG)", "get-mask"),
+                        )
+                    ]
+        opacity.input(None, [opacity], None, js=FADE)
+        chosen.change(lambda name: gr.update(visible=visit.dreams(name), value=True), [chosen], [dream], queue=False)
+        gr.on(
+            [run.click, instruction.submit],
+            visit.run,
+            [photo, instruction, chosen, dream],
+            [message, picture, opacity, stages, timings, *files],
+            concurrency_id=ONE_AT_A_TIME,
+            concurrency_limit=1,
+            show_progress="full",
+            show_progress_on=[message],
+            api_visibility="private",
+        )
+    return blocks.queue(max_size=MOST_WAITING)
+
+
+def _path(payload: Any) -> str | None:
+    """The uploaded file as it came: gradio would open it here, where an error is no sentence."""
+    return payload.path if payload else None
+
+
+def _examples() -> list[list[str]]:
+    return [[str(HERE / "examples" / name), instruction] for name, instruction in EXAMPLES]
+
+
+class _Policy:
+    """Adds the content security policy to every answer."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def guarded(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message["headers"], (b"content-security-policy", POLICY.encode())]
+            await send(message)
+
+        await self.app(scope, receive, guarded)
