@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from a4agent.agent import A4Agent
 from a4agent.availability import EXTRAS
 from a4agent.config import load_settings, profile_names
-from a4agent.errors import MissingExtraError
+from a4agent.errors import ConfigError, MissingExtraError
 from a4agent.experts import registry
-from a4agent.experts.vlm_grounding import inner_experts
 
 WANTED = {
     "offline", "paper", "paper-open", "without-dreamer", "spotter-only", "paper-sam2-base-plus", "paper-sam2-tiny",
@@ -34,8 +34,8 @@ def test_a_profile_says_what_it_is_and_its_settings_exist(name):
     assert info.licences
     assert set(info.needs) <= set(EXTRAS)
     for role, spec in settings.expert_specs().items():
-        model = registry.split(spec.expert)[1]
-        for expert, own in [(spec.expert, spec.settings), *inner_experts(model, spec.settings)]:
+        inner = registry.inner_experts(spec.expert, spec.settings)
+        for expert, own in [(spec.expert, spec.settings), *inner.values()]:
             known = registry.settings_of(registry.factory_of(registry.split(expert)[0]))
             assert known is None or set(own) <= set(known), f"{role} {expert}"
 
@@ -128,3 +128,18 @@ def test_providers_without_their_extra_say_so(monkeypatch):
     monkeypatch.setenv("OPENAI_API_KEY", "x")
     with pytest.raises(MissingExtraError, match=r"pip install 'a4agent\[api\]'"):
         registry.create("openai:gpt-4o", "vlm")
+
+
+def test_a_model_that_plays_two_roles_is_built_once(openai_server):
+    vlm = {"expert": "openai:m", "base_url": openai_server.url}
+    overrides = {
+        "dreamer": "off",
+        "thinker.vlm": vlm,
+        "spotter.detector": {"expert": "vlm-grounding:qwen3-vl", "vlm": vlm},
+        "spotter.segmenter": "off",
+    }
+    agent = A4Agent.from_settings(load_settings("modern", overrides, environ={}))
+    assert agent.spotter.detector.vlm is agent.thinker.vlm
+    agent.close()
+    with pytest.raises(ConfigError, match="provider:model"):
+        A4Agent.from_settings(load_settings("qwen2.5-vl", {"spotter.detector.vlm": "qwen"}, environ={}))

@@ -58,6 +58,7 @@ class A4Agent:
 
         A stage that is not in `stages` gets no experts: on many machines, each process holds some stages.
         """
+        from a4agent.config import ExpertSettings
         from a4agent.experts import registry
 
         built: dict[str, Any] = {}
@@ -65,7 +66,9 @@ class A4Agent:
         def expert(spec: ExpertSettings, role: Role) -> Any:
             key = f"{role} {spec.model_dump_json()}"
             if key not in built:
-                built[key] = registry.create(spec.expert, role, spec.settings)
+                inner = registry.inner_experts(spec.expert, spec.settings)
+                shared = {part: expert(ExpertSettings(expert=name, **own), part) for part, (name, own) in inner.items()}
+                built[key] = registry.create(spec.expert, role, {**spec.settings, **shared})
             return built[key]
 
         d = settings.dreamer if "dreamer" in stages else None

@@ -6,7 +6,7 @@
 
 What a provider's model part stands for is in models.toml. A provider that is not there can say it itself:
 its factory's module may define `checkpoints(model, settings) -> list[str]` (folders, OWNER/NAME or
-OWNER/NAME/FILE) and `inner_experts(model, settings) -> list[(spec, settings)]` for experts it builds.
+OWNER/NAME/FILE). Experts inside experts count (`registry.inner_experts`).
 """
 
 from __future__ import annotations
@@ -147,9 +147,8 @@ def _checkpoints_of(spec: str, settings: Mapping[str, Any]) -> list[tuple[str, s
         return [whole, *((file, None) for file in _lora_of(model, settings, table["lightning"]))]
     module: Any = sys.modules.get(registry.factory_of(provider).__module__)
     own: Sequence[str] = module.checkpoints(model, settings) if hasattr(module, "checkpoints") else ()
-    inner = module.inner_experts(model, settings) if hasattr(module, "inner_experts") else ()
     found: list[tuple[str, str | None]] = [(name, None) for name in own]
-    for inner_spec, inner_settings in inner:
+    for inner_spec, inner_settings in registry.inner_experts(spec, settings).values():
         found += _checkpoints_of(inner_spec, inner_settings)
     return found
 

@@ -15,6 +15,7 @@ experts are registered in the same way as a stranger's. Nothing is imported befo
 from __future__ import annotations
 
 import inspect
+import sys
 import warnings
 from collections.abc import Callable, Mapping
 from functools import lru_cache
@@ -41,7 +42,8 @@ def _entry_points() -> Mapping[str, EntryPoint]:
     found: dict[str, EntryPoint] = {}
     for point in entry_points(group=GROUP):
         if point.name in found and found[point.name].value != point.value:
-            warnings.warn(f"two packages register the expert provider {point.name!r}; using {found[point.name].value}")
+            message = f"two packages register the expert provider {point.name!r}; using {found[point.name].value}"
+            warnings.warn(message, stacklevel=2)
             continue
         found[point.name] = point
     return found
@@ -82,7 +84,7 @@ def factory_of(provider: str) -> Factory:
         raise
     except Exception as error:
         message = f"the expert provider {provider!r} ({point.value}) cannot be loaded: {error!r}"
-        warnings.warn(message)
+        warnings.warn(message, stacklevel=2)
         raise ConfigError(message) from error
 
 
@@ -92,6 +94,26 @@ def settings_of(factory: Factory) -> dict[str, Any] | None:
     if any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters):
         return None
     return {p.name: p.default for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
+
+
+def inner_experts(spec: str, settings: Mapping[str, Any]) -> dict[Role, tuple[str, dict[str, Any]]]:
+    """The experts that the expert `spec` would build for itself, by role: their spec and settings.
+
+    The setting of that name takes a built one instead, so that several experts can share it. A factory's
+    module says this with a function `inner_experts(model, settings)`.
+
+    Raises:
+        UnknownNameError: no such provider.
+        ConfigError: an inner expert is not written "provider:model".
+    """
+    provider, model = split(spec)
+    module: Any = sys.modules.get(factory_of(provider).__module__)
+    found: dict[Role, tuple[str, dict[str, Any]]] = {}
+    if hasattr(module, "inner_experts"):
+        found = module.inner_experts(model, settings)
+    for inner, _ in found.values():
+        split(inner)
+    return found
 
 
 def create(spec: str, role: Role, settings: Mapping[str, Any] | None = None) -> Expert:

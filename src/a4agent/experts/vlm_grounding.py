@@ -167,14 +167,14 @@ def create(
     return VlmDetector(dialect, _build(dialect, vlm), max_tokens or dialect.max_tokens)
 
 
-def inner_experts(model: str, settings: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    """The VLM that a detector with these settings builds, as spec and settings; [] if it gets one that is built."""
+def inner_experts(model: str, settings: Mapping[str, Any]) -> dict[Role, tuple[str, dict[str, Any]]]:
+    """The VLM that a detector with these settings builds, as spec and settings; {} if it gets one that is built."""
     vlm = settings.get("vlm", "")
     if not isinstance(vlm, (str, Mapping)):
-        return []
+        return {}
     own: dict[str, Any] = {"expert": vlm} if isinstance(vlm, str) else dict(cast("Mapping[str, Any]", vlm))
     spec = str(own.pop("expert", "") or (dialects()[model].vlm if model in dialects() else ""))
-    return [(spec, own)] if spec else []
+    return {"vlm": (spec, own)} if spec else {}
 
 
 def _build(dialect: Dialect, vlm: str | Mapping[str, Any] | VisionLanguageModel) -> VisionLanguageModel:
@@ -183,8 +183,7 @@ def _build(dialect: Dialect, vlm: str | Mapping[str, Any] | VisionLanguageModel)
     inner = inner_experts(dialect.name, {"vlm": vlm})
     if not inner:
         raise ConfigError(f"'vlm-grounding:{dialect.name}' works with any VLM; say which: vlm = \"openai:gpt-4o\"")
-    spec, settings = inner[0]
-    return cast(VisionLanguageModel, registry.create(spec, "vlm", settings))
+    return cast(VisionLanguageModel, registry.create(inner["vlm"][0], "vlm", inner["vlm"][1]))
 
 
 class VlmDetector(ExpertBase):
