@@ -65,6 +65,8 @@ def detection_of(mask: np.ndarray) -> Detection:
     """
     from scipy import ndimage
 
+    if not mask.any():
+        return Detection()
     labelled: Any = ndimage.label(mask, structure=np.ones((3, 3)))
     labels, count = labelled
     slices = ndimage.find_objects(labels)

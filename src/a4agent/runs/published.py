@@ -27,7 +27,7 @@ class Column:
     measure: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Table:
     """One table of the paper, in percent."""
 
