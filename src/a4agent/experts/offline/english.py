@@ -10,8 +10,8 @@ want need would like some at by use do does put up off out get without we them p
 """
 _FOREIGN_WORDS = """
 le la les un une des du et est pour avec sur dans der die das den dem ein eine einen und ist mit zum zur auf el los las
-una unos para con por del en il lo gli uno che di per o os um uma com em na no ao de het een van met voor op w z się jest
-og att och med som på det ett ja
+una unos para con por del en il lo gli uno che di per o os um uma com em na no ao de het een van met voor op w z się
+jest og att och med som på det ett ja
 """
 _ENGLISH = frozenset(_ENGLISH_WORDS.split())
 _FOREIGN = frozenset(_FOREIGN_WORDS.split())
