@@ -1,0 +1,181 @@
+"""What the engine gains and costs, side by side with a plain loop over the same agent.
+
+    python perf/engine.py                    overlap, overhead, cache (about 55 s)
+    python perf/engine.py --memory           and the memory of a run of 100,000 samples (a minute or two more)
+
+The experts sleep for the stage times of the published pipeline, divided by `--scale` (paper section 4.1; public
+timings of the models on one H100-class GPU): editor 25 s, Thinker 10 s, prompt writing 3 s, detector 3.5 s,
+SAM 2.1 large 0.1 s. Goals: wall time within 1.05 of the slowest stage's busy time; under 2 ms a sample with
+experts that take no time; under 50 MiB of growth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from a4agent import engine
+from a4agent.affordance import Query
+from a4agent.agent import A4Agent
+from a4agent.dreamer import Dreamer
+from a4agent.engine import EngineSettings, Stats
+from a4agent.experts.base import ChatRequest
+from a4agent.spotter import Spotter
+from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedSegmenter, ScriptedVLM, output, scripted_agent
+from a4agent.thinker import Thinker
+
+SECONDS = {"writer": 3.0, "editor": 25.0, "thinker": 10.0, "detector": 3.5, "segmenter": 0.1}
+
+
+def sleeping_agent(
+    scale: float, *, segmenter: str = "sam2:large", thinker: str = "gpt-4o", editors: int = 1, dream: bool = True
+) -> A4Agent:
+    """The paper's pipeline, asleep: each stage on a machine of its own."""
+
+    def answer(request: ChatRequest) -> str:
+        return output("the handle") if "### Output" in request.text else f"Edit it: {request.text[-40:]}"
+
+    seconds = {name: value / scale for name, value in SECONDS.items()}
+    return A4Agent(
+        Dreamer(
+            ScriptedVLM(answer, id="gpt-4o writing", seconds=seconds["writer"]),
+            ScriptedEditor(id="qwen-image-edit", seconds=seconds["editor"], concurrency=editors),
+        )
+        if dream
+        else None,
+        Thinker(ScriptedVLM(answer, id=thinker, seconds=seconds["thinker"])),
+        Spotter(
+            ScriptedDetector(id="rex-omni", seconds=seconds["detector"]),
+            ScriptedSegmenter(id=segmenter, seconds=seconds["segmenter"]),
+        ),
+    )
+
+
+def queries(count: int) -> Iterator[Query]:
+    for number in range(count):
+        picture = np.zeros((48, 64, 3), np.uint8)
+        picture[0, 0] = number % 256, number // 256 % 256, number // 65536
+        yield Query(str(number), picture, f"use thing {number}")
+
+
+def loop(agent: A4Agent, count: int) -> float:
+    started = time.perf_counter()
+    for query in queries(count):
+        agent.predict(query.image, query.instruction)
+    return time.perf_counter() - started
+
+
+def run(agent: A4Agent, count: int, settings: EngineSettings | None = None) -> tuple[float, Stats]:
+    stats = Stats()
+    started = time.perf_counter()
+    for _ in engine.run(agent, queries(count), settings=settings, stats=stats):
+        pass
+    seconds = time.perf_counter() - started
+    assert sum(stats.samples.values()) == stats.samples["ok"] == count, stats.samples
+    return seconds, stats
+
+
+def overlap(samples: int, scale: float) -> None:
+    sequential = loop(sleeping_agent(scale), samples)
+    wall, stats = run(sleeping_agent(scale), samples)
+    for expert in stats.experts.values():
+        print(f"  {expert.role:9} {expert.id:16} busy for {expert.seconds:6.2f} s")
+    slowest = max(stats.experts.values(), key=lambda expert: expert.seconds)
+    print(f"  plain loop {sequential:.2f} s, engine {wall:.2f} s: {sequential / wall:.2f} times as fast")
+    print(f"  wall time / busy time of {slowest.id}: {wall / slowest.seconds:.3f} (goal 1.05)")
+    wall4, _ = run(sleeping_agent(scale, editors=4), samples)
+    print(f"  with four editors {wall4:.2f} s: {sequential / wall4:.2f} times as fast as the loop")
+
+
+def overhead(samples: int) -> None:
+    sequential = loop(scripted_agent(dream=True), samples)
+    wall, _ = run(scripted_agent(dream=True), samples)
+    print(f"  plain loop {1000 * sequential / samples:.3f} ms a sample, engine {1000 * wall / samples:.3f} ms a sample")
+    print(f"  overhead {1000 * (wall - sequential) / samples:.3f} ms a sample (goal 2)")
+
+
+def cache(samples: int, scale: float) -> None:
+    """The paper's ablations after one another: each distinct call is made once."""
+    variants: dict[str, dict[str, Any]] = {
+        "the paper": {},
+        "the paper again": {},
+        "sam2:base-plus": {"segmenter": "sam2:base-plus"},
+        "sam2:tiny": {"segmenter": "sam2:tiny"},
+        "another Thinker": {"thinker": "qwen2.5-vl"},
+        "without Dreamer": {"dream": False},
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        settings = EngineSettings(cache="write", cache_dir=Path(folder))
+        made = saved = 0
+        for name, changes in variants.items():
+            seconds, stats = run(sleeping_agent(scale, **changes), samples, settings)
+            made, saved = made + stats.asked, saved + stats.saved
+            print(
+                f"  {name:16} {seconds:6.2f} s ({1000 * seconds / samples:5.2f} ms a sample),"
+                f" {stats.asked:4} calls made, {stats.saved:4} saved"
+            )
+        print(f"  together {made} calls made, {saved} saved")
+
+
+def memory(samples: int) -> None:
+    picture = Image.new("RGB", (64, 48))
+    agent = scripted_agent()
+    for expert in agent.experts():
+        expert.requests = _Forgetful()  # type: ignore[attr-defined]
+        expert.batches = _Forgetful()  # type: ignore[attr-defined]
+    many = (Query(str(number), picture, "open it") for number in range(samples))
+    started, first, highest = time.perf_counter(), 0.0, 0.0
+    for done, _ in enumerate(engine.run(agent, many), 1):
+        if done % 2000 == 0:
+            gc.collect()
+            now = _resident_mib()
+            first = first or now
+            highest = max(highest, now)
+    seconds = time.perf_counter() - started
+    print(f"  {samples} samples in {seconds:.1f} s ({1000 * seconds / samples:.3f} ms each)")
+    print(f"  {first:.0f} MiB after 2,000 samples, {highest:.0f} MiB at most: {highest - first:+.1f} MiB (goal 50)")
+
+
+class _Forgetful(list):  # pyright: ignore[reportMissingTypeArgument]
+    """What a scripted expert keeps of its requests, not kept."""
+
+    def append(self, item: object) -> None: ...
+    def extend(self, items: object) -> None: ...
+
+
+def _resident_mib() -> float:
+    """This process's memory now, Linux only (elsewhere NaN)."""
+    status = Path("/proc/self/statm")
+    if not status.exists():
+        return float("nan")
+    return int(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--samples", type=int, default=200, help="for the overlap and the cache")
+    parser.add_argument("--scale", type=float, default=750.0, help="how many times as fast as life the experts sleep")
+    parser.add_argument("--memory", action="store_true", help="also run 100,000 samples and watch the memory")
+    options = parser.parse_args()
+    if options.memory: experts that take no time
+        print("memory: experts that take no time")
+        memory(100_000)
+    print(f"overlap: {options.samples} samples, stage times / {options.scale:g}")
+    overlap(options.samples, options.scale)
+    print("overhead: experts that take no time, 5,000 samples")
+    overhead(5000)
+    print(f"cache: {options.samples} samples, stage times / {4 * options.scale:g}")
+    cache(options.samples, 4 * options.scale)
+
+
+if __name__ == "__main__":
+    main()
