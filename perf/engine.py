@@ -166,7 +166,7 @@ def main() -> None:
     parser.add_argument("--scale", type=float, default=750.0, help="how many times as fast as life the experts sleep")
     parser.add_argument("--memory", action="store_true", help="also run 100,000 samples and watch the memory")
     options = parser.parse_args()
-    if options.memory: experts that take no time
+    if options.memory:
         print("memory: experts that take no time")
         memory(100_000)
     print(f"overlap: {options.samples} samples, stage times / {options.scale:g}")
