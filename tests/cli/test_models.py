@@ -113,7 +113,7 @@ def test_list_says_what_is_here_and_the_commit_to_pin(a4, hub):
     assert rows[TINY]["commit"] == COMMIT
     assert rows[TINY]["roles"] == ["spotter.segmenter"]
     assert rows["IDEA-Research/grounding-dino-tiny"]["path"] is None
-    shown = a4("list", "small").stdout
+    shown = a4("list", "--profile", "small").stdout
     assert f'revision = "{COMMIT}"' in shown
     assert "a4 models pull Qwen/Qwen3-VL-2B-Instruct IDEA-Research/grounding-dino-tiny" in shown
 

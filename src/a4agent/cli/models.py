@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from a4agent.cli import common
-from a4agent.cli.common import SetOption, messages
+from a4agent.cli.common import ProfileOption, SetOption, messages
 from a4agent.errors import ModelFilesError, ResourceError
 
 if TYPE_CHECKING:
@@ -26,18 +26,22 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
 
 
 @app.command("list")
-def list_models(names: NamesArgument = None, sets: SetOption = None, as_json: JsonOption = False) -> None:
+def list_models(
+    names: NamesArgument = None, profile: ProfileOption = None, sets: SetOption = None, as_json: JsonOption = False
+) -> None:
     """Say which models there are or a profile needs: size, licence, gating, and what is on this disk."""
-    found = _needs(names, sets) if names else _catalogue()
+    chosen = _with_profile(names, profile)
+    found = _needs(chosen, sets) if chosen else _catalogue()
     if as_json:
         print(json.dumps([_as_dict(need) for need in found], indent=1))
     else:
-        _show(found, everything=not names)
+        _show(found, everything=not chosen)
 
 
 @app.command()
 def pull(
     names: NamesArgument = None,
+    profile: ProfileOption = None,
     sets: SetOption = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before the download starts.")] = False,
 ) -> None:
@@ -47,7 +51,7 @@ def pull(
     """
     from a4agent.experts import hub
 
-    needs = _named(names, sets)
+    needs = _named(_with_profile(names, profile), sets)
     missing = [need for need in needs if need.path is None]
     for need in needs:
         if need.path is not None:
@@ -67,6 +71,7 @@ def pull(
 @app.command()
 def verify(
     names: NamesArgument = None,
+    profile: ProfileOption = None,
     sets: SetOption = None,
     quick: Annotated[bool, typer.Option("--quick", help="Look at sizes and headers only, not at every byte.")] = False,
 ) -> None:
@@ -74,7 +79,7 @@ def verify(
     from a4agent.experts.intact import damage_in
 
     damaged = 0
-    for need in _named(names, sets):
+    for need in _named(_with_profile(names, profile), sets):
         if need.path is None:
             damaged += 1
             messages.print(f"[red]missing[/] {need.name}: a4 models pull {need.name}")
@@ -92,7 +97,11 @@ def verify(
         raise typer.Exit(common.SOME_FAILED)
 
 
-def _named(names: list[str] | None, sets: list[str] | None) -> list[Need]:
+def _with_profile(names: list[str] | None, profile: str | None) -> list[str]:
+    return [*(names or []), *([profile] if profile else [])]
+
+
+def _named(names: list[str], sets: list[str] | None) -> list[Need]:
     if not names:
         raise ModelFilesError("name a profile, an expert or a model: a4 models pull small, a4 models pull sam2:tiny")
     return _needs(names, sets)
