@@ -217,6 +217,17 @@ def test_nearest_neighbour_takes_the_value_under_the_centre_as_pillow_does(sourc
     assert np.array_equal(found[0, ~between], expected[0, ~between])
 
 
+def test_the_best_of_several_right_answers_counts() -> None:
+    prediction = np.zeros((4, 4), bool)
+    prediction[:, 0] = True
+    left, right = np.zeros((4, 4), bool), np.zeros((4, 4), bool)
+    left[:, 0], right[:, 3] = True, True
+
+    assert measure(prediction, right, alternatives=(left,)) == Row(4, 4, "ok", None, 4, False)
+    assert measure(prediction, left, alternatives=(right,))[:2] == (4, 4)
+    assert measure(None, left, alternatives=(right,))[:3] == (0, 4, "error")
+
+
 def test_a_prediction_without_pixels_is_blank() -> None:
     assert measure(np.zeros((0, 0), bool), np.ones((3, 3), bool)) == Row(0, 9, "ok", 9, 0, True)
 

@@ -39,7 +39,12 @@ def test_the_folder_test_is_as_good(instructpart_path: Path) -> None:
 
 def test_an_index_of_another_form(instructpart_path: Path) -> None:
     index = instructpart_path / "test" / "data_test.json"
-    for content in ([{"image_path": "x.jpg"}], [3], {"a": 1}, [{"image_path": "x.jpg", "part_list": [{}]}]):
+    part = {"object": "mug", "part": "rim", "instruction": "one text"}
+    for parts in (None, [3], [{}], [part], [{**part, "instruction": []}]):
+        index.write_text(json.dumps([{"image_path": "x.jpg", "part_list": parts}]))
+        with pytest.raises(DataError, match="data_test"):
+            create(instructpart_path)
+    for content in ([3], {"a": 1}, [{"part_list": []}]):
         index.write_text(json.dumps(content))
         with pytest.raises(DataError, match="data_test"):
             create(instructpart_path)

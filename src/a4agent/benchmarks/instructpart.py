@@ -65,6 +65,8 @@ def _rows(index: Path, instruction: int) -> list[dict[str, str]]:
         for entry in entries:
             image = str(entry["image_path"])
             for part in entry["part_list"]:
+                if not isinstance(part["instruction"], list):
+                    raise TypeError("'instruction' is not a list")
                 name = f"{Path(image).stem}-{part['object']}-{part['part']}".replace(" ", "_")
                 rows.append(
                     {

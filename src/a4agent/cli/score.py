@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,11 +10,13 @@ import typer
 
 from a4agent.cli import common
 from a4agent.cli.benchmark_data import DataOption, NameArgument, OptionsOption, RuleOption, opened
+from a4agent.errors import DataError
 
 if TYPE_CHECKING:
     from a4agent.benchmarks.base import Benchmark
     from a4agent.benchmarks.predictions import Predictions
-    from a4agent.metrics import Row, Scores
+    from a4agent.metrics import Scores
+    from a4agent.runs.external import Outcome
 
 SHOWN = 5
 
@@ -41,21 +41,24 @@ def score(
 
     from a4agent import metrics
     from a4agent.benchmarks.predictions import Predictions
+    from a4agent.runs.external import score_predictions
 
     opened_data = opened(benchmark, data, rule, option)
+    if not len(opened_data):
+        raise DataError(f"the {benchmark} data in {str(data)!r} has no samples")
     protocol = protocol or opened_data.protocol
     metrics.protocol_of(protocol)
     masks = Predictions(predictions)
-    scored: list[_Scored] = []
+    outcomes: list[Outcome] = []
     with Progress(console=common.messages, transient=True) as progress:
         task = progress.add_task("scoring", total=len(opened_data))
-        for result in _each(opened_data, masks):
-            scored.append(result)
+        for outcome in score_predictions(opened_data, masks):
+            outcomes.append(outcome)
             progress.advance(task)
-    _report_problems(scored, masks)
-    rows = [result.row for result in scored]
+    _report_problems(outcomes, masks)
+    rows = [outcome.row for outcome in outcomes]
     whole = metrics.score(rows, protocol)
-    groups = metrics.score_by(rows, [result.category for result in scored], protocol) if by_category else {}
+    groups = metrics.score_by(rows, [outcome.category for outcome in outcomes], protocol) if by_category else {}
     if as_json:
         print(json.dumps(_as_dict(opened_data, whole, groups), indent=1))
     else:
@@ -64,53 +67,26 @@ def score(
         raise typer.Exit(common.SOME_FAILED)
 
 
-@dataclass(frozen=True)
-class _Scored:
-    id: str
-    category: str
-    row: Row
-    problem: str
-
-
-def _each(data: Benchmark, masks: Predictions) -> Iterator[_Scored]:
-    from a4agent.errors import DataError
-    from a4agent.metrics import measure
-
-    for sample in data:
-        truth = sample.truth.mask()
-        try:
-            prediction, problem = masks.mask(sample.id), "missing"
-        except DataError as error:
-            prediction, problem = None, str(error)
-        yield _Scored(
-            sample.id,
-            sample.truth.category or "none",
-            measure(prediction, truth, alternatives=sample.truth.alternatives()),
-            "" if prediction is not None else problem,
-        )
-
-
-def _report_problems(scored: list[_Scored], masks: Predictions) -> None:
+def _report_problems(outcomes: list[Outcome], masks: Predictions) -> None:
     """Say what was not found or not asked for; both are what a wrong file name looks like.
 
     Raises:
         DataError: no prediction is for any sample.
     """
-    from a4agent.errors import DataError
+    from a4agent.runs.external import MISSING
 
-    strays = masks.strays(result.id for result in scored)
-    failed = [result for result in scored if result.problem]
-    if len(failed) == len(scored) and all(result.problem == "missing" for result in failed):
-        wanted = ", ".join(f"{result.id}.png" for result in scored[:3])
+    strays = masks.strays(outcome.id for outcome in outcomes)
+    missing = [outcome.id for outcome in outcomes if outcome.problem == MISSING]
+    if len(missing) == len(outcomes):
+        wanted = ", ".join(f"{identity}.png" for identity in missing[:3])
         raise DataError(
             f"no prediction in {str(masks.path)!r} belongs to a sample: they are named by id, such as {wanted}"
             + (f"; found {', '.join(strays[:3])}" if strays else "")
         )
-    missing = [result.id for result in failed if result.problem == "missing"]
     if missing:
         common.warn(f"{len(missing)} samples have no prediction and count as failed: {_some(missing)}")
-    for result in [result for result in failed if result.problem != "missing"][:SHOWN]:
-        common.warn(result.problem)
+    for problem in [outcome.problem for outcome in outcomes if outcome.problem not in ("", MISSING)][:SHOWN]:
+        common.warn(problem)
     if strays:
         common.warn(f"{len(strays)} predictions are for no sample: {_some(strays)}")
 

@@ -1,0 +1,107 @@
+"""`a4 data`: what is wrong with a dataset, and what it asks, as people and programs read it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import layouts
+from a4agent.benchmarks.registry import load
+from a4agent.cli.main import main
+
+
+def a4(*arguments: str | Path) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return int(ended.value.code or 0)
+
+
+def test_a_whole_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert a4("data", "check", "folder", layouts.write_folder(tmp_path)) == 0
+
+    printed = capsys.readouterr().out
+    assert "3, 3 readable" in printed
+    assert printed.rstrip().endswith("all there")
+
+
+def test_what_is_missing_is_counted_named_and_ends_with_where_to_get_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = layouts.write_ragnet(tmp_path)
+    (data / "data/HANDAL/without_depth/images/other.frame.jpg").unlink()
+
+    assert a4("data", "check", "ragnet-handal-hard", data) == 1
+
+    printed = capsys.readouterr().out
+    assert "2 of 1003 published, 1 readable" in printed
+    assert "1 images, 0 masks" in printed
+    assert "00002-other.frame: image missing" in printed
+    assert "CC-BY-NC-SA-4.0" in printed
+    assert "NVlabs/HANDAL" in printed.splitlines()[-1]
+
+
+def test_json_holds_every_problem(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = layouts.write_umd(tmp_path)
+    for file in data.rglob("*_rgb.jpg"):
+        file.write_bytes(b"broken")
+
+    assert a4("data", "check", "umd", data, "--rule", "affordance-r1", "--json") == 1
+
+    found = json.loads(capsys.readouterr().out)
+    assert len(found["problems"]) == 12
+    assert {problem["kind"] for problem in found["problems"]} == {"image broken"}
+    assert found["fingerprint"]["options"] == {"rule": "affordance-r1"}
+    assert found["ok"] is False
+
+
+def test_a_malicious_pickle_is_refused_without_a_traceback(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = layouts.write_ragnet(tmp_path)
+    (data / "data" / "3doi_easy_reasoning_val.pkl").write_bytes(b"cos\nsystem\n(S'touch ran'\ntR.")
+
+    assert a4("data", "check", "ragnet-3doi", data) == 2
+
+    said = capsys.readouterr().err
+    assert "os.system" in said
+    assert "Traceback" not in said
+
+
+def test_queries_hold_the_public_half_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = layouts.write_instructpart(tmp_path)
+
+    with pytest.raises(SystemExit):
+        main(["data", "queries", "instructpart", str(data), "--option", "instruction=2"])
+
+    printed = capsys.readouterr().out
+    rows = [json.loads(line) for line in printed.splitlines()]
+    assert [set(row) for row in rows] == [{"id", "image", "instruction"}] * 4
+    assert rows[0]["instruction"] == "000001 question 2"
+    assert Path(rows[0]["image"]).is_file()
+    assert layouts.SECRET not in printed
+
+
+def test_queries_write_pictures_that_lie_in_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = layouts.write_reasonaff(tmp_path)
+
+    assert a4("data", "queries", "reasonaff", data) == 2
+    assert "--images" in capsys.readouterr().err
+    assert a4("data", "queries", "reasonaff", data, "--images", tmp_path / "out") == 0
+
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [Path(row["image"]).stem for row in rows] == [sample.id for sample in load("reasonaff", data)]
+    assert all(Path(row["image"]).is_file() for row in rows)
+
+
+def test_list_names_every_benchmark_and_its_options(capsys: pytest.CaptureFixture[str]) -> None:
+    assert a4("data", "list", "--json") == 0
+
+    found = {row["benchmark"]: row for row in json.loads(capsys.readouterr().out)}
+    assert set(found) >= {"reasonaff", "ragnet-3doi", "ragnet-handal-easy", "ragnet-handal-hard", "umd", "folder"}
+    assert found["umd"]["options"] == {"rule": "a4"}
+    assert all(row["about"] for row in found.values())
+
+
+def test_an_option_of_another_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert a4("data", "check", "umd", tmp_path, "--option", "rule") == 2
+    assert "NAME=VALUE" in capsys.readouterr().err
