@@ -1,0 +1,257 @@
+"""The report: one file, no network, everything a run holds, and a browser that can filter and sort it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pictures
+from a4agent import rle
+from a4agent.errors import DataError
+from a4agent.runs import scores
+from a4agent.runs.bench import Bench, Selection
+from a4agent.runs.report import picture_side, render, small_mask, write_report
+from a4agent.runs.store import Record, Run
+
+MakeBench = Callable[..., Bench]
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+class Links(HTMLParser):
+    """Everything in a page that a browser would fetch."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.found: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found += [str(value) for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
+
+
+def test_the_page_is_one_file_that_fetches_nothing(run: Run) -> None:
+    text = render(run)
+    assert Links(text).found == []
+    assert "default-src 'none'" in text
+    assert not re.search(r"url\(|@import|fetch\(|XMLHttpRequest", text)
+
+
+def test_the_page_shows_the_scores_with_their_intervals(run: Run) -> None:
+    text, found = render(run), scores.score(run)
+    assert f'<div class="value">{100 * found.giou:.1f}</div>' in text
+    low, high = found.intervals["giou"]
+    assert f"{100 * low:.1f} – {100 * high:.1f}" in text
+    assert "20 scored, 4 failed" in text
+
+
+def test_published_numbers_stand_beside(run: Run) -> None:
+    identity = {**run.manifest.identity, "benchmark": "umd"}
+    text = render(replace(run, manifest=replace(run.manifest, identity=identity)))
+    assert "Affordance-R1" in text
+    assert ">49.8<" in text or ">49.9<" in text
+    assert "this run" in text
+    assert "Affordance-R1" not in render(run), "the paper has no table of one's own pictures"
+
+
+def test_a_part_of_a_run_says_so(bench: MakeBench, run: Run) -> None:
+    part = replace(run, records=dict(list(run.records.items())[:5]))
+    assert "15 samples have not been asked yet" in render(part)
+    chosen = bench("chosen", selection=Selection(3, 5)).run(pictures.agent())
+    assert "the first 3 after a shuffle with seed 5" in render(chosen)
+
+
+def test_a_run_without_samples_has_no_report(run: Run) -> None:
+    with pytest.raises(DataError, match="no samples yet"):
+        write_report(replace(run, records={}))
+
+
+def test_a_missing_picture_does_not_hide_the_rest(run: Run) -> None:
+    for path in (run.folder / "images").iterdir():
+        path.write_bytes(b"broken")
+    samples = _samples(render(run))
+    assert len(samples) == 20
+    assert all(sample["original"] is None for sample in samples)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 30), st.integers(1, 30), st.integers(0, 2**32 - 1))
+def test_run_lengths_are_those_of_the_mask(height: int, width: int, seed: int) -> None:
+    mask = np.random.default_rng(seed).random((height, width)) < 0.5
+    runs = small_mask(rle.encode(mask), (width, height))
+    values = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
+    assert np.array_equal(values.reshape(width, height).T, mask)
+
+
+def test_masks_are_brought_to_the_size_of_the_embedded_picture() -> None:
+    mask = np.zeros((1000, 2000), dtype=bool)
+    mask[:, 1000:] = True
+    assert small_mask(rle.encode(mask), (200, 100)) == [10000, 10000]
+    assert [picture_side(count) for count in (10, 500, 3000)] == [640, 480, 320]
+
+
+def test_outcomes_say_why_a_sample_missed() -> None:
+    def outcome(intersection: int, found: int, truth: int, status: str = "ok") -> str:
+        row = {"intersection": intersection, "union": found + truth - intersection, "status": status}
+        return scores.outcome(Record({**row, "prediction_pixels": found, "truth_pixels": truth}))
+
+    assert outcome(80, 100, 100) == "hit"
+    assert outcome(100, 400, 100) == "too much"
+    assert outcome(100, 100, 400) == "too little"
+    assert outcome(40, 100, 100) == "partly"
+    assert outcome(2, 100, 100) == "elsewhere"
+    assert outcome(0, 0, 100, "empty") == "nothing found"
+    assert outcome(0, 0, 0, "empty") == "hit"
+    assert outcome(0, 0, 100, "error") == "failed"
+    assert outcome(0, 0, 100, "invalid") == "unreadable"
+    assert outcome(50, 5000, 50) == "too much", "all of a small part, and a hundred times as much"
+
+
+def _samples(text: str) -> list[dict[str, Any]]:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
+    assert found
+    return json.loads(found[1])
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
+    if CHROMIUM is None:
+        pytest.skip("needs Debian's package chromium")
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def page(browser: Any) -> Iterator[Any]:
+    """A tab that fails the test when the page has an error or asks for anything but its own file."""
+    tab = browser.new_page(viewport={"width": 1280, "height": 900}, color_scheme="light")
+    wrong: list[str] = []
+    tab.on("pageerror", lambda error: wrong.append(str(error)))
+    tab.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+    tab.on("request", lambda r: None if r.url.startswith(("file:", "data:")) else wrong.append(r.url))
+    tab.on("dialog", lambda dialog: wrong.append(dialog.message))
+    yield tab
+    tab.close()
+    assert wrong == []
+
+
+def cards(page: Any) -> list[str]:
+    """The ids of the cards in sight, in the order they stand in."""
+    return page.evaluate("""() => {
+        const at = (card) => [parseFloat(card.style.top), parseFloat(card.style.left)];
+        const found = [...document.querySelectorAll(".sample")];
+        found.sort((a, b) => at(a)[0] - at(b)[0] || at(a)[1] - at(b)[1]);
+        return found.map((card) => card.dataset.id);
+    }""")
+
+
+def test_a_browser_filters_and_sorts(run: Run, page: Any) -> None:
+    page.set_viewport_size({"width": 1280, "height": 2400})
+    page.goto(write_report(run).as_uri())
+    by_iou = sorted(run.records.values(), key=lambda record: record.iou)
+    assert cards(page) == [record.id for record in by_iou]
+    page.select_option("#sort", "best")
+    assert [run.records[id].iou for id in cards(page)] == [record.iou for record in reversed(by_iou)]
+    page.select_option("#sort", "name")
+    assert cards(page) == [f"picture {number}" for number in range(20)], "numbers by their value"
+
+    page.select_option("#status", "invalid")
+    assert cards(page) == ["picture 1", "picture 11"]
+    assert page.inner_text("#shown") == "2 of 20, mean IoU 0.0"
+    page.click("#clear")
+    page.fill("#search", "NUMBER 15")
+    assert cards(page) == ["picture 15"]
+    page.fill("#search", "not welcome")
+    assert cards(page) == ["picture 0", "picture 10"], "errors are searched, too"
+    page.click("#clear")
+    page.select_option("#tag", "category=kind 1")
+    assert cards(page) == [f"picture {number}" for number in range(20) if number % 3 == 1]
+    page.click("#clear")
+    page.click(".legend [data-outcome=hit]")
+    hits = {record.id for record in run.records.values() if scores.outcome(record) == "hit"}
+    assert set(cards(page)) == hits
+    page.click(".legend [data-outcome=hit]")
+    assert len(cards(page)) == 20, "a second click takes it back"
+    page.click("[data-bin='0']")
+    assert set(cards(page)) == {record.id for record in run.records.values() if record.iou < 0.1}
+    page.fill("#search", "no such thing")
+    assert page.is_visible("#none")
+
+
+def test_a_sample_opens_with_all_its_stages(run: Run, page: Any) -> None:
+    page.goto(write_report(run).as_uri())
+    page.select_option("#sort", "name")
+    page.click("[data-id='picture 3']")
+    assert page.inner_text("#instruction") == "touch the red part, number 3"
+    facts = page.inner_text("#facts")
+    assert "It is red.</script><b>&amp;" in facts, "what a model wrote is text, not markup"
+    assert "5 model calls" in facts
+    assert "scripted:detector-0" in page.locator("#facts details").text_content()
+    assert page.locator("#panes figure").count() == 4, "original, imagined, found, close up"
+    assert "Paint a hand on the <b>red</b> part." in page.inner_text("#panes")
+    page.keyboard.press("ArrowRight")
+    assert page.inner_text("#id") == "picture 4"
+    assert page.url.endswith("#sample=picture%204")
+    page.reload()
+    assert page.inner_text("#id") == "picture 4", "an address leads to its sample"
+    page.keyboard.press("Escape")
+    assert not page.is_visible("#detail")
+
+
+def test_masks_are_drawn_where_they_are(run: Run, page: Any) -> None:
+    page.goto(write_report(run).as_uri())
+    page.uncheck("[data-layer=zoom]")
+    page.uncheck("[data-layer=boxes]")
+    page.uncheck("[data-layer=points]")
+    record = run.records["picture 4"]
+    truth, found = rle.decode(record.truth), record.affordance.mask
+
+    canvas = "document.querySelector(\"[data-id='picture 4'] canvas\").getContext('2d')"
+
+    def colour(where: np.ndarray) -> tuple[int, int, int]:
+        y, x = (int(value) for value in np.argwhere(where)[len(np.argwhere(where)) // 2])
+        red, green, blue, _ = page.evaluate(f"([x, y]) => [...{canvas}.getImageData(x, y, 1, 1).data]", [x, y])
+        return red, green, blue
+
+    page.wait_for_function(f"{canvas}.getImageData(2, 2, 1, 1).data[3] === 255")
+    page.wait_for_timeout(200)
+    both, extra, missed = colour(truth & found), colour(found & ~truth), colour(truth & ~found)
+    assert both[1] > both[2] > 20, f"green where both are: {both}"
+    assert extra[0] > extra[1] > extra[2], f"orange where nothing is true: {extra}"
+    assert missed[2] > missed[1], f"blue where it was missed: {missed}"
+
+
+def test_thousands_of_samples_keep_few_cards_in_the_page(run: Run, page: Any) -> None:
+    rows = [record.row for record in run.records.values()]
+    records = {f"{i:04d}": Record({**rows[i % 20], "id": f"{i:04d}"}) for i in range(2000)}
+    page.goto(write_report(replace(run, records=records)).as_uri())
+    page.select_option("#sort", "order")
+    assert len(cards(page)) < 120
+    page.evaluate("scrollTo(0, document.body.scrollHeight)")
+    page.wait_for_selector("[data-id='1999']")
+    assert len(cards(page)) < 120
+    page.fill("#search", "1234")
+    assert cards(page) == ["1234"]
+
+
+def test_dark_and_light(run: Run, page: Any) -> None:
+    page.goto(write_report(run).as_uri())
+    ground = "getComputedStyle(document.body).backgroundColor"
+    light = page.evaluate(ground)
+    page.click("#theme")
+    dark = page.evaluate(ground)
+    page.emulate_media(color_scheme="dark")
+    page.reload()
+    assert page.evaluate(ground) == dark != light
