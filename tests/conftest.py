@@ -43,3 +43,18 @@ def openai_server() -> Iterator[FaultyServer]:
     server = FaultyServer()
     yield server
     server.close()
+
+
+@pytest.fixture(scope="session")
+def simulator() -> None:
+    """Skips what renders where mujoco, its assets or an off-screen renderer are missing."""
+    from a4agent.errors import A4Error
+    from a4agent.sim.assets import check_installed
+    from a4agent.sim.backend import check_renderer
+    from a4agent.sim.things import built_in
+
+    try:
+        check_renderer()
+        check_installed(built_in())
+    except A4Error as error:
+        pytest.skip(str(error))

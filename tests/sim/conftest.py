@@ -8,21 +8,13 @@ from typing import Any
 
 import pytest
 
-from a4agent.errors import A4Error
-from a4agent.sim.assets import check_installed
-from a4agent.sim.backend import mujoco
 from a4agent.sim.draw import Drawn, Plan, draw_sample
 from a4agent.sim.make import make_set
 from a4agent.sim.things import Catalogue, built_in
 
 
 @pytest.fixture(scope="session")
-def catalogue() -> Catalogue:
-    try:
-        mujoco()
-        check_installed(built_in())
-    except A4Error as error:
-        pytest.skip(str(error))
+def catalogue(simulator: None) -> Catalogue:
     return built_in()
 
 

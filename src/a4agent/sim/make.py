@@ -34,7 +34,7 @@ import numpy as np
 
 from a4agent.errors import ConfigError
 from a4agent.sim.assets import check_installed
-from a4agent.sim.backend import mujoco
+from a4agent.sim.backend import check_renderer, mujoco
 from a4agent.sim.draw import Drawn, Plan, draw_sample, plan_set
 from a4agent.sim.things import Catalogue, Split, built_in, read_catalogue
 
@@ -69,6 +69,7 @@ def make_set(
     """
     catalogue = _catalogue(catalogue_path)
     versions = check_installed(catalogue)
+    check_renderer()
     if n < 1:
         raise ConfigError(f"a set has at least one sample, not {n!r}: --n 200")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):

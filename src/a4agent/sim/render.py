@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import os
-from typing import Any
-
 import numpy as np
 
-from a4agent.errors import ResourceError
-from a4agent.sim.backend import mujoco
+from a4agent.sim.backend import mujoco, renderer
 from a4agent.sim.looks import Camera
 from a4agent.sim.placing import CLEAR, PART, SOLID
 from a4agent.sim.scene import EYE, Scene
@@ -21,19 +17,12 @@ class Studio:
     """Renders one scene at one wide size. A context manager: graphics memory is given back at the end.
 
     Raises:
-        ResourceError: no off-screen renderer works on this machine; says how to choose another one.
+        ResourceError: no off-screen renderer works on this machine; says how to get one.
     """
 
     def __init__(self, scene: Scene, wide_wh: tuple[int, int]) -> None:
         self._scene = scene
-        width, height = wide_wh
-        try:
-            self._renderer: Any = mujoco().Renderer(scene.model, height, width)
-        except (ImportError, AttributeError, RuntimeError, mujoco().FatalError) as error:
-            raise ResourceError(
-                f"mujoco cannot render off-screen here ({error}). Install OSMesa (Debian: apt install libosmesa6) and "
-                f"set MUJOCO_GL=osmesa, or MUJOCO_GL=egl with a GPU; it is {os.environ.get('MUJOCO_GL', '')!r} now"
-            ) from error
+        self._renderer = renderer(scene.model, wide_wh)
 
     def __enter__(self) -> Studio:
         return self
