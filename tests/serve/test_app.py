@@ -1,0 +1,213 @@
+"""The page as a visitor meets it: a real browser drives it, and nothing may come from elsewhere."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from a4agent.affordance import Affordance
+from a4agent.agent import A4Agent
+from a4agent.availability import Missing
+from a4agent.serve import run
+from a4agent.serve.app import EXAMPLES, HERE, create_page
+from a4agent.testing import scripted_agent
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+FLAGS = "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking"
+HOSTILE = "<img src=x onerror=alert(1)> {{value}} ${1+1} `tick`"
+WATCH = """
+window.seen = [];
+new MutationObserver(() => {
+  const states = [...document.querySelectorAll('.a4-card')].map(card => card.dataset.state).join(' ');
+  if (states && states !== window.seen.at(-1)) window.seen.push(states);
+}).observe(document.querySelector('#stages'), {childList: true, subtree: true, attributes: true});
+"""
+PHOTO = HERE / "examples" / EXAMPLES[0][0]
+
+pytestmark = [
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (apt-get install chromium)"),
+    # gradio 6.31 counts its own events with an option that pandas 3 deprecates.
+    pytest.mark.filterwarnings("ignore:'future.no_silent_downcasting' is deprecated"),
+]
+
+
+def check(profile: str) -> list[Missing]:
+    here = profile in ("offline", "paper", "small")
+    return [] if here else [Missing("a key for its models", "export OPENAI_API_KEY=...")]
+
+
+def load(profile: str) -> A4Agent:
+    if profile == "offline":
+        return A4Agent.from_profile("offline")
+    if profile == "paper":
+        return scripted_agent("the handle of the mug", dream=True, seconds=0.5)
+    return scripted_agent(HOSTILE)
+
+
+@pytest.fixture(scope="module")
+def url() -> Iterator[str]:
+    pytest.importorskip("gradio", reason="needs the extra app")
+    with run.in_thread(create_page(load, check=check)) as url:
+        yield url
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    playwright = pytest.importorskip("playwright.sync_api", reason="drives the page with playwright")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS.split())
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def visit(browser: Any, url: str, tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callable[[], Any]]:
+    """visit() -> a page in a browser window of its own. At the end: nothing was asked of another host."""
+    pages: list[Any] = []
+    strangers: list[str] = []
+
+    def open_page() -> Any:
+        page = browser.new_context(viewport={"width": 1280, "height": 1000}, accept_downloads=True).new_page()
+        page.on("request", lambda r: r.url.startswith((url, "data:", "blob:")) or strangers.append(r.url))
+        page.on("dialog", lambda dialog: pytest.fail("a script of the model's ran"))
+        page.set_default_timeout(30_000)
+        page.goto(url)
+        page.wait_for_selector("#run")
+        pages.append(page)
+        return page
+
+    yield open_page
+    folder = Path(os.environ.get("SCREENSHOTS", tmp_path))
+    for number, page in enumerate(pages):
+        page.screenshot(path=folder / f"{request.node.name}-{number}.png", full_page=True)
+        page.context.close()
+    assert not strangers
+
+
+def ask(page: Any, photo: Path | None, instruction: str) -> None:
+    if photo is not None:
+        page.set_input_files("#photo input[type=file]", photo)
+        page.wait_for_selector("#photo img")
+    page.fill("#instruction textarea", instruction)
+    page.click("#run")
+
+
+def test_a_photo_and_a_sentence_give_a_mask_to_fade_and_to_keep(visit: Callable[[], Any]) -> None:
+    page = visit()
+    assert not page.is_visible("#opacity")
+    ask(page, PHOTO, "carry the bottle")
+    page.wait_for_selector("#answer figure[data-state=done] .a4-tint")
+    part = page.inner_text(".a4-part")
+    assert page.inner_text("#answer figcaption") == part
+    assert "box" in page.inner_text(".a4-card:nth-child(3)")
+    assert re.search(r"[\d.]+ s in \d+ model calls", page.inner_text(".a4-timings summary"))
+
+    def opacity() -> str:
+        return page.eval_on_selector(".a4-tint", "image => getComputedStyle(image).opacity")
+
+    assert opacity() == "0.55"
+    page.fill("#opacity input[type=number]", "0.2")
+    page.keyboard.press("Tab")
+    page.wait_for_function("getComputedStyle(document.querySelector('.a4-tint')).opacity === '0.2'")
+
+    def download(name: str) -> bytes:
+        with page.expect_download() as coming:
+            page.click(name)
+        return Path(coming.value.path()).read_bytes()
+
+    affordance = Affordance.from_dict(json.loads(download("#get-json")))
+    assert affordance.status == "ok"
+    assert affordance.target is not None
+    assert affordance.target.object_part == part
+    mask = np.asarray(Image.open(io.BytesIO(download("#get-mask"))))
+    assert ((mask > 0) == affordance.mask).all()
+    assert download("#get-png").startswith(b"\x89PNG")
+
+
+def test_a_profile_with_a_dreamer_fills_stage_after_stage(visit: Callable[[], Any]) -> None:
+    page = visit()
+    assert not page.is_visible("#dream")
+    page.check("input[value=paper]")
+    page.wait_for_selector("#dream input", state="visible")
+    assert page.is_checked("#dream input")
+    page.evaluate(WATCH)
+    ask(page, PHOTO, "drink from the mug")
+    how, where = ".a4-card:nth-child(1)", ".a4-card:nth-child(3)"
+    page.wait_for_selector(f"{where}[data-state=done]")
+    seen = page.evaluate("window.seen")
+    order = ["working waiting waiting", "done working waiting", "done done working", "done done done"]
+    assert [states for states in seen if states in order] == order
+    assert page.query_selector(f"{how} img")
+    assert page.inner_text(".a4-part") == "the handle of the mug"
+    page.uncheck("#dream input")
+    page.click("#run")
+    page.wait_for_selector(f"{how}[data-state=off]")
+    page.wait_for_selector(f"{where}[data-state=done]")
+
+
+def test_what_is_not_available_is_grey_with_the_reason(visit: Callable[[], Any]) -> None:
+    page = visit()
+    assert page.is_checked("input[value=offline]")
+    row = page.locator(".a4-profile", has=page.locator("input[value=api]"))
+    assert row.locator("input").is_disabled()
+    page.click(".a4-profiles summary")
+    assert "a key for its models" in row.inner_text()
+    assert "export OPENAI_API_KEY" in row.inner_text()
+
+
+def test_errors_are_sentences(visit: Callable[[], Any], tmp_path: Path) -> None:
+    page = visit()
+    alert = ".a4-error[role=alert]"
+    ask(page, None, "open it")
+    page.wait_for_selector(f"{alert}:has-text('Add a photo first')")
+    ask(page, PHOTO, "   ")
+    page.wait_for_selector(f"{alert}:has-text('Say what you want to do')")
+    fake = tmp_path / "photo.jpg"
+    fake.write_text("this is no photo")
+    page.click("#photo button[aria-label='Remove Image'], #photo button[aria-label='Clear']")
+    page.set_input_files("#photo input[type=file]", fake)
+    page.wait_for_timeout(500)
+    page.fill("#instruction textarea", "open it")
+    page.click("#run")
+    page.wait_for_selector(f"{alert}:has-text('This photo cannot be used')")
+    assert "Traceback" not in page.content()
+
+
+def test_what_a_model_writes_is_text(visit: Callable[[], Any]) -> None:
+    page = visit()
+    page.check("input[value=small]")
+    ask(page, PHOTO, "<b>bold</b> {{value}}")
+    page.wait_for_selector("#answer figure[data-state=done]")
+    assert page.inner_text(".a4-part") == HOSTILE
+    assert not page.query_selector("#stages img, #answer b")
+
+
+def test_who_waits_sees_the_place_in_the_queue(visit: Callable[[], Any]) -> None:
+    first, second = visit(), visit()
+    for page in (first, second):
+        page.check("input[value=paper]")
+        page.set_input_files("#photo input[type=file]", PHOTO)
+        page.wait_for_selector("#photo img")
+        page.fill("#instruction textarea", "drink")
+    for page in (first, second):
+        page.click("#run")
+    second.wait_for_selector("#message :text-matches('queue', 'i')")
+    second.wait_for_selector("#answer figure[data-state=done]")
+    assert first.query_selector("#answer figure[data-state=done]")
+
+
+def test_examples_are_one_click(visit: Callable[[], Any]) -> None:
+    page = visit()
+    page.click(f"#examples tr:has-text('{EXAMPLES[1][1]}')")
+    page.wait_for_selector("#photo img")
+    page.wait_for_function(f"document.querySelector('#instruction textarea').value === {EXAMPLES[1][1]!r}")
