@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from a4agent.geometry import clean_boxes, clean_points, pair_as_paper, pair_optimally, to_prompts
+from a4agent.geometry import clean_boxes, clean_points, pair_as_paper, pair_by_holder, pair_optimally, to_prompts
 
 SIZE = (64, 48)
 numbers = st.floats(-200, 200, width=32) | st.just(float("nan")) | st.just(float("inf"))
@@ -103,3 +103,13 @@ def test_prompts_carry_the_paired_arrays() -> None:
     np.testing.assert_array_equal(first.points_xy, points[:1])
     assert second.box_xyxy is None
     np.testing.assert_array_equal(second.points_xy, points[1:])
+
+
+def test_a_box_takes_all_the_points_it_holds() -> None:
+    boxes = np.array([[0, 0, 10, 10], [4, 4, 30, 30]])
+    points = np.array([[1, 1], [5, 5], [20, 20], [90, 90]])
+    assert pair_by_holder(boxes, points) == [(0, [0, 1]), (1, [2]), (None, [3])]
+    assert pair_by_holder(np.zeros((0, 4)), points[:1]) == [(None, [0])]
+    assert pair_by_holder(boxes, np.zeros((0, 2))) == [(0, []), (1, [])]
+    (first, *_) = to_prompts(boxes, points, "inside")
+    assert np.array_equal(first.points_xy, [[1, 1], [5, 5]])

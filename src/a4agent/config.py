@@ -80,7 +80,7 @@ class ThinkerSettings(Table):
 class SpotterSettings(Table):
     detector: ExpertSettings
     segmenter: ExpertSettings | None = None
-    pairing: Literal["optimal", "paper"] = "optimal"
+    pairing: Literal["optimal", "paper", "inside"] = "optimal"
 
 
 class ImageSettings(Table):

@@ -12,7 +12,7 @@ import numpy as np
 
 from a4agent.experts.base import Prompt
 
-Pairing = Literal["optimal", "paper"]
+Pairing = Literal["optimal", "paper", "inside"]
 Pair = tuple[int | None, list[int]]
 """One region: the index of its box or None, and the indices of its points."""
 
@@ -46,6 +46,8 @@ def pair(boxes_xyxy: np.ndarray, points_xy: np.ndarray, pairing: Pairing) -> lis
     """Which points belong to which box."""
     if pairing == "paper":
         return pair_as_paper(len(boxes_xyxy), len(points_xy))
+    if pairing == "inside":
+        return pair_by_holder(boxes_xyxy, points_xy)
     return pair_optimally(boxes_xyxy, points_xy)
 
 
@@ -68,14 +70,36 @@ def pair_optimally(boxes_xyxy: np.ndarray, points_xy: np.ndarray) -> list[Pair]:
     points = np.asarray(points_xy, np.float64).reshape(-1, 2)
     if not len(boxes) or not len(points):
         return _all_boxes(len(boxes), lambda _: []) + _lone_points(range(len(points)))
-    centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2
-    offset = np.abs(points[None] - centre[:, None]) / np.maximum(half[:, None], 1e-9)
-    inside = np.all(offset <= 1, axis=2)
+    inside, distance = _from_centres(boxes, points)
     outside_cost = 2.0 * (min(len(boxes), len(points)) + 1)
-    cost = np.where(inside, np.sqrt((offset**2).sum(2)), outside_cost)
+    cost = np.where(inside, distance, outside_cost)
     taken = {int(i): int(j) for i, j in zip(*linear_sum_assignment(cost), strict=True) if inside[i, j]}
     loose = [int(j) for j in np.flatnonzero(~inside.any(0))]
     return _all_boxes(len(boxes), lambda i: [taken[i]] if i in taken else []) + _lone_points(loose)
+
+
+def pair_by_holder(boxes_xyxy: np.ndarray, points_xy: np.ndarray) -> list[Pair]:
+    """Every point goes with the box that holds it, of several the one with the nearest centre; others stand alone.
+
+    For models that mark one instance with a box and several points (Seg-Zero).
+    """
+    boxes = np.asarray(boxes_xyxy, np.float64).reshape(-1, 4)
+    points = np.asarray(points_xy, np.float64).reshape(-1, 2)
+    if not len(boxes):
+        return _lone_points(range(len(points)))
+    inside, distance = _from_centres(boxes, points)
+    holder = np.where(inside, distance, np.inf).argmin(0)
+    held = inside.any(0)
+    return _all_boxes(len(boxes), lambda i: [int(j) for j in np.flatnonzero(held & (holder == i))]) + _lone_points(
+        int(j) for j in np.flatnonzero(~held)
+    )
+
+
+def _from_centres(boxes: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of n boxes and m points (n, m): which holds which, and the distances from the centres in half-sides."""
+    centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2
+    offset = np.abs(points[None] - centre[:, None]) / np.maximum(half[:, None], 1e-9)
+    return np.all(offset <= 1, axis=2), np.sqrt((offset**2).sum(2))
 
 
 def _all_boxes(count: int, points_of: Callable[[int], list[int]]) -> list[Pair]:
