@@ -49,16 +49,22 @@ def write_folder(tmp_path: Path) -> Path:
 def write_ragnet(tmp_path: Path) -> Path:
     """data.zip as it unpacks: pickles in `data`, with paths that begin with "./data/"."""
     data = tmp_path / "ragnet" / "data"
-    frames = ["EK_frame_0000000001.jpg", "EK_frame_0000040462.jpg", "other.frame.jpg"]
-    for name, folder in (("3doi_easy_reasoning_val", "3doi"), ("handal_hard_reasoning_val", "HANDAL/without_depth")):
+    sets = {
+        "3doi_easy_reasoning_val": ("3doi/images/{}.jpg", "3doi/masks/{}.png"),
+        "handal_hard_reasoning_val": (
+            "HANDAL/without_depth/handal_dataset_hammers/test/000001/rgb/{}.jpg",
+            "HANDAL/without_depth/handal_dataset_hammers/test/000001/mask_parts/{}_000000_handle.png",
+        ),
+    }
+    for name, (image, truth) in sets.items():
         rows = []
-        for number, frame in enumerate(frames):
-            picture(data / folder / "images" / frame)
-            mask(data / folder / "masks" / f"{frame}.png", (0, 0, 3 + number, 4), value=1)
+        for number, frame in enumerate(["EK_frame_0000000001", "EK_frame_0000040462", "other.frame"]):
+            picture(data / image.format(frame))
+            mask(data / truth.format(frame), (0, 0, 3 + number, 4), value=1)
             rows.append(
                 {
-                    "frame_path": f"./data/{folder}/images/{frame}",
-                    "mask_path": f"./data/{folder}/masks/{frame}.png",
+                    "frame_path": f"./data/{image.format(frame)}",
+                    "mask_path": f"./data/{truth.format(frame)}",
                     "question": f"How do I cut this? ({number})",
                     "answer": f"Hold the {SECRET}.",
                     "task_object_class": SECRET,

@@ -22,7 +22,14 @@ def test_rows_become_samples_without_the_broken_frame(ragnet_path: Path) -> None
     assert (first.id, last.id) == ("00000-EK_frame_0000000001", "00002-other.frame")
     assert np.array_equal(last.truth.mask(), boxed((0, 0, 5, 4)))
     assert last.truth.answer == f"Hold the {SECRET}."
-    assert last.truth.category == SECRET
+    assert (last.truth.category, last.truth.object_part) == (SECRET, "")
+
+
+def test_handal_names_the_part_in_the_name_of_its_mask(ragnet_path: Path) -> None:
+    first = ragnet.create_handal_hard(ragnet_path)[0]
+
+    assert first.truth.object_part == f"the handle of the {SECRET}"
+    assert first.truth.mask().sum() == 12
 
 
 def test_the_folder_of_the_pickles_is_as_good(ragnet_path: Path) -> None:

@@ -30,7 +30,7 @@ def test_what_is_missing_is_counted_named_and_ends_with_where_to_get_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = layouts.write_ragnet(tmp_path)
-    (data / "data/HANDAL/without_depth/images/other.frame.jpg").unlink()
+    next(data.rglob("rgb/other.frame.jpg")).unlink()
 
     assert a4("data", "check", "ragnet-handal-hard", data) == 1
 

@@ -11,11 +11,13 @@ Each set is a pickle, a list of
     {"frame_path": "./data/3doi/images/EK_frame_0000012345.jpg", "mask_path": "./data/3doi/masks/....png",
      "question": "I want to cut the bread. ...", "answer": "...", "task_object_class": "knife"}
 
-Paths begin with `./data/`, which is the folder of the pickles. A mask's foreground is any value above 0.
+Paths begin with `./data/`, which is the folder of the pickles. A mask's foreground is any value above 0. HANDAL's
+`rgb/X.jpg` goes with `mask_parts/X_000000_handle.png`, whose name is the only place where a part is named.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -129,7 +131,14 @@ def _sample(root: Path, row: _Row) -> Sample:
         Truth(
             partial(files.read_mask_in, root, row.mask),
             object_name=row.object_class,
+            object_part=_part(row),
             category=row.object_class,
             answer=row.answer,
         ),
     )
+
+
+def _part(row: _Row) -> str:
+    """ "the handle of the hammer" from HANDAL's `X_000000_handle.png`; "" for 3DOI, which names no parts."""
+    found = re.search(r"/mask_parts/.*_\d{6}_([a-z_]+)\.png$", row.mask)
+    return f"the {found[1].replace('_', ' ')} of the {row.object_class}" if found else ""
