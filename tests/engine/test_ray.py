@@ -22,7 +22,7 @@ from PIL import Image
 from a4agent import engine
 from a4agent.affordance import Affordance, Given, Query, Target
 from a4agent.agent import A4Agent
-from a4agent.config import Settings
+from a4agent.config import Settings, load_settings
 from a4agent.engine import Stats
 from a4agent.engine import ray as engine_ray
 from a4agent.errors import BudgetExceeded, ConfigError, CredentialError, UnknownNameError
@@ -266,6 +266,16 @@ def test_pools_come_from_the_settings(settings: Settings) -> None:
         engine_ray.pool_of(changed(dreamer={"gpus": 2}), "dreamer")
     with pytest.raises(ConfigError, match="replicas"):
         engine_ray.pool_of(changed(dreamer={"replicas": 0}), "dreamer")
+
+
+def test_the_example_of_a_cluster_fits() -> None:
+    example = load_settings(Path(__file__).parents[2] / "examples" / "cluster.toml", environ={})
+    assert {stage: engine_ray.pool_of(example, stage)["replicas"] for stage in engine_ray.STAGES} == {
+        "dreamer": 24,
+        "thinker": 2,
+        "spotter": 4,
+    }
+    assert example.engine.cache_dir is not None
 
 
 def test_no_queries_start_no_cluster(settings: Settings) -> None:
