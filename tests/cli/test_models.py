@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from a4agent.cli.main import main
 from fake_hub import COMMIT, FakeHub, safetensors
 
 WEIGHTS = safetensors(200_000)
@@ -25,8 +28,7 @@ TINY = "facebook/sam2.1-hiera-tiny"
 
 @pytest.fixture
 def hub():
-    repositories = {TINY: REPOSITORY, "facebook/sam3": REPOSITORY, "owner/broken": {"config.json": b"{}"}}
-    with FakeHub(repositories, gated={"facebook/sam3"}) as hub:
+    with FakeHub({TINY: REPOSITORY, "facebook/sam3": REPOSITORY}, gated={"facebook/sam3"}) as hub:
         yield hub
 
 
@@ -65,7 +67,7 @@ def a4(tmp_path, hub):
     return Terminal(tmp_path, hub.url)
 
 
-def test_pull_says_what_it_costs_and_fetches_what_loading_needs(a4, hub):
+def test_from_pull_to_list_to_verify_to_repair(a4, hub):
     done = a4("pull", "sam2:tiny")
     assert done.returncode == 0, done.stderr
     assert "0.00 GB" in done.stderr
@@ -75,11 +77,34 @@ def test_pull_says_what_it_costs_and_fetches_what_loading_needs(a4, hub):
         "model.safetensors",
         "preprocessor_config.json",
     ]
+
     before = len(hub.asked)
     again = a4("pull", "sam2:tiny")
     assert again.returncode == 0
     assert "is here" in again.stderr
+    rows = {row["name"]: row for row in json.loads(a4("list", "small", "--json").stdout)}
+    assert rows[TINY]["commit"] == COMMIT
+    assert rows[TINY]["roles"] == ["spotter.segmenter"]
+    assert rows["IDEA-Research/grounding-dino-tiny"]["path"] is None
+    shown = a4("list", "--profile", "small").stdout
+    assert f'revision = "{COMMIT}"' in shown
+    assert "a4 models pull Qwen/Qwen3-VL-2B-Instruct IDEA-Research/grounding-dino-tiny" in shown
+    assert a4("verify", "sam2:tiny").returncode == 0
     assert len(hub.asked) == before  # what is on this disk is not asked for
+
+    weights = a4.snapshot(TINY) / "model.safetensors"
+    data = bytearray(WEIGHTS)
+    data[-5] ^= 1
+    weights.resolve().write_bytes(data)
+    changed = a4("verify", "sam2:tiny")
+    assert changed.returncode == 1
+    assert "contents have changed" in changed.stderr
+
+    advice = re.search(r"delete (\S+) and run: a4 models pull (\S+)", changed.stderr)
+    assert advice
+    shutil.rmtree(advice[1])
+    assert a4("pull", advice[2]).returncode == 0
+    assert weights.read_bytes() == WEIGHTS
 
 
 def test_a_download_that_breaks_off_goes_on_where_it_was(a4, hub):
@@ -94,80 +119,64 @@ def test_a_download_that_breaks_off_goes_on_where_it_was(a4, hub):
     assert (a4.snapshot("owner/large") / "model.safetensors").read_bytes() == weights
 
 
-def test_only_what_is_not_whole_is_fetched_again(a4, hub):
-    assert a4("pull", TINY).returncode == 0
-    (a4.snapshot(TINY) / "preprocessor_config.json").unlink()
-    missing = a4("verify", TINY)
-    assert missing.returncode == 1
-    assert "missing" in missing.stderr
-    hub.sent = []
-    assert a4("pull", TINY).returncode == 0
-    assert "model.safetensors" not in [sent.path for sent in hub.sent]
-    assert (a4.snapshot(TINY) / "preprocessor_config.json").exists()
+def here(capsys, *arguments: str) -> tuple[int, str, str]:
+    """The same command in this process, where the hub may not be asked."""
+    with pytest.raises(SystemExit) as caught:
+        main(["models", *arguments])
+    shown = capsys.readouterr()
+    return int(caught.value.code or 0), shown.out, shown.err
 
 
-def test_list_says_what_is_here_and_the_commit_to_pin(a4, hub):
-    assert a4("pull", TINY).returncode == 0
-    listed = json.loads(a4("list", "small", "--json").stdout)
-    rows = {row["name"]: row for row in listed}
-    assert rows[TINY]["commit"] == COMMIT
-    assert rows[TINY]["roles"] == ["spotter.segmenter"]
-    assert rows["IDEA-Research/grounding-dino-tiny"]["path"] is None
-    shown = a4("list", "--profile", "small").stdout
-    assert f'revision = "{COMMIT}"' in shown
-    assert "a4 models pull Qwen/Qwen3-VL-2B-Instruct IDEA-Research/grounding-dino-tiny" in shown
-
-
-def test_list_without_a_name_is_the_catalogue_and_asks_nobody(a4, hub):
-    done = a4("list")
-    assert done.returncode == 0
-    assert "IDEA License 1.0, non-commercial" in done.stdout
-    assert hub.asked == []
-
-
-def test_verify_reads_every_byte(a4):
-    assert a4("pull", TINY).returncode == 0
-    whole = a4("verify", "sam2:tiny")
-    assert whole.returncode == 0, whole.stderr
-    blob = (a4.snapshot(TINY) / "model.safetensors").resolve()
-    data = bytearray(blob.read_bytes())
-    data[-5] ^= 1
-    blob.write_bytes(data)
-    assert a4("verify", "sam2:tiny", "--quick").returncode == 0
-    changed = a4("verify", "sam2:tiny")
-    assert changed.returncode == 1
-    assert "contents have changed" in changed.stderr
-    blob.write_bytes(data[:-100])
-    cut = a4("verify", "sam2:tiny", "--quick")
-    assert cut.returncode == 1
-    assert "lacks 100 bytes" in cut.stderr
+def test_list_without_a_name_is_the_catalogue(capsys):
+    code, shown, _ = here(capsys, "list", "--json")
+    rows = {row["name"]: row for row in json.loads(shown)}
+    assert code == 0
+    assert rows["IDEA-Research/Rex-Omni"]["commercial"] is False
+    assert rows["facebook/sam3"]["gated"] is True
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("pull", "facebook/sam3"), "is gated"),
-        (("pull", "owner/nothing"), "neither a folder nor a model"),
         (("pull", "smal"), "did you mean 'small'"),
         (("pull", "samm2:tiny"), "did you mean 'sam2'"),
         (("pull",), "name a profile"),
-        (("verify", TINY), f"a4 models pull {TINY}"),
+        (("pull", "owner/model"), "HF_HUB_OFFLINE"),
+        (("pull", "owner/model"), "a4 models pull owner/model"),
+        (("verify", "owner/model"), "a4 models pull owner/model"),
     ],
 )
-def test_what_cannot_work_says_why_without_a_traceback(a4, arguments, words):
-    done = a4(*arguments)
-    assert done.returncode != 0
+def test_what_cannot_work_says_why(capsys, arguments, words):
+    code, _, said = here(capsys, *arguments)
+    assert code != 0
+    assert words in " ".join(said.split())
+
+
+def test_a_folder_is_verified_like_any_other(capsys, tmp_path):
+    for name, data in REPOSITORY.items():
+        (tmp_path / name).write_bytes(data)
+    assert here(capsys, "verify", str(tmp_path))[0] == 0
+    (tmp_path / "config.json").unlink()
+    (tmp_path / "model.safetensors").write_bytes(WEIGHTS[:-100])
+    code, _, said = here(capsys, "verify", str(tmp_path), "--quick")
+    assert code == 1
+    assert "lacks 100 bytes" in said
+    assert "not a checkpoint" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "endpoint", "words"),
+    [
+        ("facebook/sam3", "", "is gated"),
+        ("owner/nothing", "", "neither a folder nor a model"),
+        (TINY, "http://127.0.0.1:9", f"run `a4 models pull {TINY}`"),
+    ],
+)
+def test_what_the_hub_refuses_is_explained_without_a_traceback(a4, name, endpoint, words):
+    done = a4("pull", name, **({"HF_ENDPOINT": endpoint} if endpoint else {}))
+    assert done.returncode == 2
     assert words in done.stderr
     assert "Traceback" not in done.stderr
-
-
-def test_an_unreachable_hub_and_a_forbidden_one_name_the_model_and_the_command(a4):
-    nobody = a4("pull", TINY, HF_ENDPOINT="http://127.0.0.1:9")
-    offline = a4("pull", TINY, HF_HUB_OFFLINE="1")
-    for done, words in ((nobody, "could not be reached"), (offline, "HF_HUB_OFFLINE")):
-        assert done.returncode == 2
-        assert words in done.stderr
-        assert f"a4 models pull {TINY}" in done.stderr
 
 
 def test_a_pinned_revision_is_the_one_that_is_fetched(a4, hub):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -90,11 +91,16 @@ def verify(
             messages.print(f"[red]damaged[/] {need.name}: {problem}", markup=True, soft_wrap=True)
         if found:
             damaged += 1
-            messages.print(f"  delete {need.path} and run: a4 models pull {need.name}", soft_wrap=True)
+            messages.print(f"  delete {_stored_in(need.path)} and run: a4 models pull {need.name}", soft_wrap=True)
         else:
             messages.print(f"[green]whole[/]   {need.name}", soft_wrap=True)
     if damaged:
         raise typer.Exit(common.SOME_FAILED)
+
+
+def _stored_in(path: Path) -> Path:
+    """The folder to delete so that a fetch starts afresh: in the hub's cache, snapshots are links into it."""
+    return next((parent.parent for parent in (path, *path.parents) if parent.name == "snapshots"), path)
 
 
 def _with_profile(names: list[str] | None, profile: str | None) -> list[str]:
