@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -53,6 +53,9 @@ def bench(
     cache: Annotated[str | None, typer.Option(help="off, read or write: reuse answers kept on disk.")] = None,
     max_cost: Annotated[float | None, typer.Option(help="Stop at this many US dollars; run again to go on.")] = None,
     max_seconds: Annotated[float | None, typer.Option(help="Stop after this long; run again to go on.")] = None,
+    engine: Annotated[
+        Literal["local", "ray"], typer.Option(help="local: threads here. ray: Ray Data, on one machine or many.")
+    ] = "local",
     as_json: Annotated[bool, typer.Option("--json", help="Print the scores as JSON.")] = False,
 ) -> None:
     """Run a profile on a benchmark and score it. Started again, it does only what is missing.
@@ -65,12 +68,13 @@ def bench(
     from a4agent.runs.suites import load_suite
     from a4agent.runs.tables import fill
 
-    engine = {"engine__cache": cache, "engine__max_cost": max_cost, "engine__max_seconds": max_seconds}
+    limits = {"engine__cache": cache, "engine__max_cost": max_cost, "engine__max_seconds": max_seconds}
     plan: dict[str, Any] = {
         "selection": Selection(limit, shuffle),
         "protocol": protocol,
         "oracle": oracle_of(oracle) if oracle else None,
         "retry": _statuses(retry),
+        "engine": engine,
     }
     if suite:
         if benchmark or profile or out:
@@ -78,11 +82,11 @@ def bench(
         table = load_suite(suite)
         benchmarks = [opened(name, data, rule, option) for name in table.benchmark_names()]
         systems = [
-            [Bench(one, _settings_of(system, sets, engine), label=system.label, **plan) for one in benchmarks]
+            [Bench(one, _settings_of(system, sets, limits), label=system.label, **plan) for one in benchmarks]
             for system in table.system
         ]
     elif benchmark:
-        settings = common.settings(profile, sets, **engine)
+        settings = common.settings(profile, sets, **limits)
         systems = [[Bench(opened(benchmark, data, rule, option), settings, out=out, **plan)]]
     else:
         raise ConfigError("which benchmark? `a4 data list` names them; for instance: a4 bench folder --data examples")
@@ -180,9 +184,9 @@ def show_scores(run: Run) -> None:
             print(f"{label:<8} {100 * value:6.2f}   95% {100 * low:.2f} to {100 * high:.2f}")
 
 
-def _settings_of(system: System, sets: list[str] | None, engine: dict[str, Any]) -> Settings:
+def _settings_of(system: System, sets: list[str] | None, limits: dict[str, Any]) -> Settings:
     replaced = {name.replace(".", "__"): value for name, value in system.set.items()}
-    return common.settings(system.profile, sets, **replaced, **engine)
+    return common.settings(system.profile, sets, **replaced, **limits)
 
 
 def _statuses(text: str | None) -> tuple[Status, ...]:

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from a4agent import engine, metrics, rle
 from a4agent.affordance import Affordance, Given, Query, Status
@@ -23,7 +23,7 @@ from a4agent.agent import A4Agent
 from a4agent.benchmarks.base import Benchmark, Sample
 from a4agent.config import Settings
 from a4agent.errors import DataError, InputError, UserError
-from a4agent.runs.manifest import Manifest, prompt_hashes, settings_identity
+from a4agent.runs.manifest import Manifest, prompt_hashes, settings_identity, settings_told
 from a4agent.runs.oracle import Oracle, given_of
 from a4agent.runs.store import Record, Run, RunWriter, read_run
 
@@ -91,6 +91,7 @@ class Bench:
     label: str = ""
     out: Path | None = None
     retry: tuple[Status, ...] = ()
+    engine: Literal["local", "ray"] = "local"
 
     def manifest(self, agent: A4Agent) -> Manifest:
         """What decides the answers of this run."""
@@ -114,6 +115,7 @@ class Bench:
                 "label": self.label,
                 "data": str(self.benchmark.root),
                 "licence": self.benchmark.licence,
+                "settings": settings_told(self.settings),
             },
         )
 
@@ -198,13 +200,14 @@ class Session:
             except InputError:
                 return None  # the agent will find the same wrong with the picture, and it is this sample's answer
 
-        answers = engine.run(
-            self._agent,
-            queries(),
-            settings=self._work.settings.engine,
-            given=given if oracle else None,
-            stats=self.progress.stats,
-        )
+        settings, stats = self._work.settings, self.progress.stats
+        known = given if oracle else None
+        if self._work.engine == "ray":
+            from a4agent.engine import ray
+
+            answers = ray.run(settings, queries(), given=known, stats=stats)
+        else:
+            answers = engine.run(self._agent, queries(), settings=settings.engine, given=known, stats=stats)
         for query, affordance in answers:
             yield in_flight.pop(query.id), affordance
 

@@ -5,11 +5,11 @@
      "identity": {                                    # two runs with one identity give the same answers
        "benchmark": "umd", "options": {"rule": "a4"}, "data": {"fingerprint": "9f3c...", "samples": 1922},
        "selection": {"limit": 100, "shuffle": 7}, "protocol": "strict", "oracle": null,
-       "settings": {"dreamer": ..., "thinker": ..., "spotter": ..., "image": ...},
+       "settings": {"dreamer": null, "thinker": {"vlm": "openai:gpt-4o", "prompts": "paper", ...}, "spotter": ...},
        "experts": [{"id": "sam2:tiny", "revision": "", "settings": {...}}],
        "prompts": {"thinker": "8d0b2f..."}
      },
-     "about": {"profile": "paper", "data": "/data/umd", "licence": "...", "label": "A4-Agent"},
+     "about": {"profile": "paper", "label": "A4-Agent", "data": "/data/umd", "licence": "...", "settings": {...}},
      "sessions": [{"started": "2026-11-22T07:40:00+00:00", "command": "a4 bench ...", "versions": {...}, "git": {...}}]
     }
 
@@ -22,6 +22,7 @@ import hashlib
 import importlib.metadata
 import json
 import platform
+import re
 import shlex
 import subprocess
 import sys
@@ -33,10 +34,11 @@ from pathlib import Path
 from typing import Any, cast
 
 from a4agent import prompts
-from a4agent.config import Settings
+from a4agent.config import STAGES, Settings
 from a4agent.errors import DataError
 
 SCHEMA = 1
+SECRET = re.compile(r"(?i)(api_?key|secret|password|(^|_)token|authorization)$")
 LIBRARIES = ("numpy", "pillow", "scipy", "torch", "transformers", "diffusers", "openai", "onnxruntime", "ray")
 
 
@@ -91,8 +93,28 @@ class Manifest:
 
 
 def settings_identity(settings: Settings) -> dict[str, Any]:
-    """The settings that decide an answer: not the profile's name and prose, not how fast it is run."""
-    return settings.model_dump(mode="json", include={"dreamer", "thinker", "spotter", "image"})
+    """The settings of the stages that decide an answer.
+
+    Of an expert its name only: which of its settings change an answer is in its fingerprint, and a smaller
+    batch or another address of the same server are no reason to start anew.
+    """
+    found = settings.model_dump(mode="json", include={*STAGES, "image"})
+    for name in settings.expert_specs():
+        stage, role = name.split(".")
+        found[stage][role] = found[stage][role]["expert"]
+    return found
+
+
+def settings_told(settings: Settings) -> dict[str, Any]:
+    """All settings, for people who want to know; what may be a secret is left out."""
+
+    def told(value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        table = cast("dict[str, Any]", value)
+        return {key: "(left out)" if SECRET.search(key) else told(item) for key, item in table.items()}
+
+    return told(settings.model_dump(mode="json", exclude={"profile", "name"}))
 
 
 def prompt_hashes(settings: Settings) -> dict[str, str]:

@@ -63,7 +63,7 @@ def render(run: Run) -> str:
         identity=run.manifest.identity,
         about=run.manifest.about,
         sessions=run.manifest.sessions,
-        manifest=json.dumps(run.manifest.identity, indent=2, ensure_ascii=False),
+        manifest=json.dumps({**run.manifest.identity, "about": run.manifest.about}, indent=2, ensure_ascii=False),
         scores=found,
         protocol=metrics.protocol_of(found.protocol),
         measures=[(label, getattr(found, name), found.intervals.get(name)) for name, label in metrics.MEASURES.items()],

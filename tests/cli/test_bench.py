@@ -1,0 +1,162 @@
+"""`a4 bench`, `report`, `compare` and `tables` as they are typed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import killable
+import pictures
+from a4agent.cli.bench_progress import words
+from a4agent.cli.main import main
+from a4agent.experts import registry
+from a4agent.metrics import Row
+from a4agent.runs.bench import Progress
+from a4agent.runs.store import read_run
+
+Type = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def a4(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Type:
+    """Types a command in a folder of its own; returns exit code, stdout and stderr."""
+    pictures.write_folder(tmp_path / "data", 10)
+    (tmp_path / "drawn.toml").write_text(killable.PROFILE.replace("SECONDS", "0.0"))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(registry._added, "drawn", killable.create)  # pyright: ignore[reportPrivateUsage]
+
+    def command(*arguments: str) -> tuple[int, str, str]:
+        try:
+            main(list(arguments))
+            code = 0
+        except SystemExit as error:
+            code = int(error.code or 0)
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return command
+
+
+BENCH = ("bench", "folder", "--data", "data", "--profile", "drawn.toml")
+
+
+def test_a_run_from_bench_to_report(a4: Type) -> None:
+    code, out, err = a4(*BENCH)
+    assert code == 1, "two samples are meant to fail"
+    assert "gIoU" in out
+    assert "n 10  scored 10  failed 2" in out
+    (folder,) = Path("runs").iterdir()
+    assert folder.name.startswith("folder-drawn-")
+    assert "10 samples to ask, 0 there" in err
+    assert len(read_run(folder).records) == 10
+
+    code, out, err = a4(*BENCH)
+    assert "0 samples to ask, 10 there" in err
+    assert a4(*BENCH, "--retry", "error,invalid")[2].count("2 samples to ask, 8 there") == 1
+
+    code, out, _ = a4("report", str(folder))
+    assert (code, out.strip()) == (0, str(folder / "report.html"))
+    assert (folder / "report.html").stat().st_size > 10_000
+
+
+def test_json_on_stdout_and_nothing_else(a4: Type) -> None:
+    code, out, _ = a4(*BENCH, "--json", "--limit", "4", "--out", "four")
+    assert code == 1
+    found = json.loads(out)
+    assert found["scores"]["n"] == 4
+    assert found["complete"] is True
+    assert found["run"] == "four"
+
+
+def test_oracles_and_what_each_stage_costs(a4: Type) -> None:
+    a4(*BENCH, "--out", "plain")
+    assert a4(*BENCH, "--out", "thinker", "--oracle", "thinker")[0] == 1, "the detector still fails once"
+    assert a4(*BENCH, "--out", "detector", "--oracle", "detector")[0] == 0
+    code, out, _ = a4("compare", "plain", "thinker", "detector")
+    assert code == 0
+    assert "oracle: nothing -> 'thinker'" in out
+    assert "what each stage costs" in out
+    code, out, _ = a4("compare", "plain", "detector", "--json")
+    assert json.loads(out)["losses"][0][1]["stage"] == "detector"
+    code, out, _ = a4("tables", "plain", "detector", "--format", "csv")
+    assert out.count("\n") == 3
+    assert "drawn, detector by the truth" in out
+
+
+def test_a_suite_runs_every_system_and_prints_the_table(a4: Type) -> None:
+    rows = {"first": "drawn.toml", "broken": "broken.toml", "second": "drawn.toml"}
+    systems = "".join(f'[[system]]\nlabel = "{name}"\nprofile = "{profile}"\n' for name, profile in rows.items())
+    Path("mine.toml").write_text(f'benchmarks = ["folder"]\n{systems}set = {{"spotter.pairing" = "paper"}}\n')
+    Path("broken.toml").write_text('[spotter]\ndetector = "sam2:no-such-size"\nsegmenter = "sam2:tiny"\n')
+    code, out, err = a4("bench", "--suite", "mine.toml", "--data", "data")
+    assert code == 2, "one system could not be run"
+    assert "no-such-size" in err
+    assert "**first** (ours)" in out
+    assert "**second** (ours)" in out
+    assert len(list(Path("runs").iterdir())) == 2
+    code, out, _ = a4("bench", "--suite", "mine.toml", "--data", "data", "--json")
+    assert [found["label"] for found in json.loads(out)] == ["first", "second"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("bench",), "a4 data list"),
+        (("bench", "foldr", "--data", "data"), "did you mean 'folder'"),
+        (("bench", "folder", "--profile", "drawn.toml"), "--data"),
+        ((*BENCH, "--retry", "eror"), "did you mean 'error'"),
+        ((*BENCH, "--oracle", "segmentor"), "did you mean 'segmenter'"),
+        ((*BENCH, "--protocol", "strikt"), "did you mean 'strict'"),
+        ((*BENCH, "--set", "spotter.pairng=paper"), "did you mean 'pairing'"),
+        ((*BENCH, "--out", "data"), "holds other files"),
+        (("bench", "folder", "--suite", "paper-table-4"), "a suite names"),
+        (("bench", "--suite", "paper-table-9", "--data", "data"), "paper-table-"),
+        (("report", "data"), "not a run"),
+        (("compare", "data"), "two runs or more"),
+        (("tables", "data"), "not a run"),
+    ],
+)
+def test_mistakes_are_told_with_the_way_out(a4: Type, arguments: tuple[str, ...], message: str) -> None:
+    code, out, err = a4(*arguments)
+    assert code == 2
+    assert message in " ".join(err.split())
+    assert out == ""
+
+
+def test_another_configuration_in_the_same_folder_is_told(a4: Type) -> None:
+    a4(*BENCH, "--out", "run")
+    code, _, err = a4(*BENCH, "--out", "run", "--set", "dreamer=off")
+    assert code == 2
+    assert "settings.dreamer" in err
+
+
+def test_a_budget_ends_a_run_and_the_next_one_goes_on(a4: Type) -> None:
+    code, _, err = a4(*BENCH, "--out", "run", "--max-cost", "0.1", "--set", "engine.in_flight=1")
+    assert code == 1
+    assert "engine.max_cost" in err
+    assert 0 < len(read_run("run").records) < 10
+    a4(*BENCH, "--out", "run")
+    assert read_run("run").complete
+
+
+def test_the_cache_is_one_switch_and_tells_what_it_saved(a4: Type, tmp_path: Path) -> None:
+    cache = ("--cache", "write", "--set", f"engine.cache_dir={tmp_path / 'cache'}")
+    a4(*BENCH, "--out", "first", *cache)
+    _, _, err = a4(*BENCH, "--out", "second", "--set", "spotter.pairing=paper", *cache)
+    assert "answered from the cache" in err
+    steps = [step for record in read_run("second").records.values() for step in record.row["trace"]]
+    asked_again = {step["role"] for step in steps if not step["cached"] and not step["error"]}
+    assert asked_again <= {"segmenter"}, "the pairing changes the segmenter's prompts and nothing before it"
+
+
+def test_the_live_line_says_how_far_it_is() -> None:
+    progress = Progress(planned=40, to_ask=30)
+    assert words(progress, 0.0) == ""
+    for row in [Row(60, 100), Row(0, 50, "error")]:
+        progress.count(row, "strict")
+    progress.asked, progress.cost = 2, 0.25
+    assert words(progress, 4.0) == "gIoU 30.0, 1 failed, 0.5/s, 0:00:56 left, $0.25"
+    assert words(progress, 400.0).startswith("gIoU 30.0, 1 failed, 0.3/min, 1:33:20 left")
