@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from a4agent.answers import TargetAnswer
 from a4agent.errors import (
     A4Error,
     ConfigError,
@@ -32,10 +33,19 @@ from a4agent.experts.openai_client import find_server, servers
 from servers import Call, FaultyServer, Reply, as_json, chat, error, models
 
 SCHEMA = {
+    "title": "Answer",
     "type": "object",
     "properties": {
-        "thinking": {"type": "string"},
-        "where": {"type": "object", "properties": {"x": {"type": "number"}}},
+        "thinking": {"type": "string", "default": "", "maxLength": 9},
+        "title": {"type": "string", "title": "Title", "description": "a property called like a keyword"},
+        "where": {
+            "type": "array",
+            "minItems": 1,
+            "items": {
+                "type": "object",
+                "properties": {"x": {"anyOf": [{"type": "number", "minimum": 0}, {"type": "null"}], "default": None}},
+            },
+        },
     },
     "required": ["thinking"],
 }
@@ -216,6 +226,13 @@ def test_a_refused_key_stops_everything(openai_server, code):
         ask(openai_server, server="vllm")
 
 
+def test_a_refused_key_of_ones_own_is_named(openai_server, monkeypatch):
+    monkeypatch.setenv("MY_KEY", "x")
+    openai_server.replies(error(401, "Incorrect API key"))
+    with pytest.raises(CredentialError, match="MY_KEY"):
+        ask(openai_server, api_key_variable="MY_KEY")
+
+
 def test_an_empty_account_stops_everything_although_it_is_a_429(openai_server):
     openai_server.replies(error(429, "You exceeded your current quota", kind="insufficient_quota"))
     with pytest.raises(CredentialError, match="credit"):
@@ -316,14 +333,36 @@ def test_the_ladder_goes_down_only_as_far_as_it_must_and_remembers(openai_server
     expert.close()
 
 
-def test_a_strict_schema_closes_its_objects(openai_server):
+def test_a_strict_schema_is_structure_alone_and_closes_its_objects(openai_server):
     ask(openai_server, ChatRequest((PLAIN,), "x", schema=SCHEMA), server="sglang")
     sent = openai_server.calls[0].json["response_format"]["json_schema"]
     assert sent["strict"] is True
-    assert sent["schema"]["additionalProperties"] is False
-    assert sent["schema"]["required"] == ["thinking", "where"]
-    assert sent["schema"]["properties"]["where"]["additionalProperties"] is False
-    assert list(sent["schema"]["properties"]) == ["thinking", "where"]  # constrained decoding follows this order
+    assert sent["schema"] == {
+        "type": "object",
+        "properties": {
+            "thinking": {"type": "string"},
+            "title": {"type": "string", "description": "a property called like a keyword"},
+            "where": {
+                "type": "array",
+                "items": {
+                    "type": "object",
+                    "properties": {"x": {"anyOf": [{"type": "number"}, {"type": "null"}]}},
+                    "required": ["x"],
+                    "additionalProperties": False,
+                },
+            },
+        },
+        "required": ["thinking", "title", "where"],
+        "additionalProperties": False,
+    }
+    assert next(iter(sent["schema"]["properties"])) == "thinking"  # constrained decoding follows this order
+
+
+def test_the_thinkers_schema_is_one_that_strict_servers_take(openai_server):
+    ask(openai_server, ChatRequest((PLAIN,), "x", schema=TargetAnswer.model_json_schema()), server="vllm")
+    sent = json.dumps(openai_server.calls[0].json["response_format"])
+    for keyword in ("default", "minLength", "maxLength", "title"):
+        assert f'"{keyword}"' not in sent
 
 
 def test_llama_cpp_gets_the_flat_schema(openai_server):

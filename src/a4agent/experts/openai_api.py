@@ -25,6 +25,7 @@ from a4agent.experts.prices import price_from_setting, price_of
 _RUNG_WORDS = ("response_format", "json_schema", "json_object", "schema", "grammar", "structured", "guided", "'json'")
 _OPTIONAL = ("temperature", "seed")
 _REFUSING = (400, 422, 501)
+_STRUCTURE = ("type", "enum", "const", "$ref", "description")
 
 
 def create(
@@ -257,20 +258,26 @@ def _text_of(content: Any) -> str:
 
 
 def _schema_format(schema: Mapping[str, Any], shape: str) -> dict[str, Any]:
-    """The `response_format` that asks for this schema, with its objects closed as strict servers demand."""
-    closed = _closed(schema)
+    """The `response_format` that asks for this schema, in the subset that strict servers know."""
+    strict = _strict(schema)
     if shape == "flat":
-        return {"type": "json_schema", "schema": closed}
-    return {"type": "json_schema", "json_schema": {"name": "answer", "strict": True, "schema": closed}}
+        return {"type": "json_schema", "schema": strict}
+    return {"type": "json_schema", "json_schema": {"name": "answer", "strict": True, "schema": strict}}
 
 
-def _closed(node: Any) -> Any:
-    """The same JSON schema in which every object requires all its properties and allows no other."""
-    if isinstance(node, Mapping):
-        closed = {key: _closed(value) for key, value in node.items()}
-        if node.get("type") == "object" and isinstance(node.get("properties"), Mapping):
-            closed |= {"additionalProperties": False, "required": list(node["properties"])}
-        return closed
-    if isinstance(node, list):
-        return [_closed(value) for value in node]
-    return node
+def _strict(schema: Mapping[str, Any]) -> dict[str, Any]:
+    """The structure of a JSON schema: every object requires all its properties, in order, and allows no other.
+
+    Lengths, ranges and defaults are left out: strict servers reject them, and the answer is checked afterwards.
+    """
+    strict: dict[str, Any] = {key: schema[key] for key in _STRUCTURE if key in schema}
+    for key in ("properties", "$defs"):
+        if key in schema:
+            strict[key] = {name: _strict(inner) for name, inner in schema[key].items()}
+    if "items" in schema:
+        strict["items"] = _strict(schema["items"])
+    if "anyOf" in schema:
+        strict["anyOf"] = [_strict(inner) for inner in schema["anyOf"]]
+    if "properties" in strict:
+        strict |= {"additionalProperties": False, "required": list(strict["properties"])}
+    return strict

@@ -119,7 +119,8 @@ class Connection:
         self.base_url = (base_url or self.server.base_url).rstrip("/")
         if urlsplit(self.base_url).scheme not in ("http", "https") or not urlsplit(self.base_url).hostname:
             raise ConfigError(f"base_url = {base_url!r} is no address; write it as 'http://127.0.0.1:8000/v1'")
-        self._key = self._read_key(api_key_variable)
+        self._key_variable = api_key_variable or self.server.key_variable
+        self._key = self._read_key(required=bool(api_key_variable) or self.server.key_required)
         self._timeout = timeout
         self._max_retries = max_retries
         self._openai = require("openai", extra="api")
@@ -172,16 +173,14 @@ class Connection:
                 )
             return self._client
 
-    def _read_key(self, variable: str) -> str:
-        name = variable or self.server.key_variable
+    def _read_key(self, *, required: bool) -> str:
+        name = self._key_variable
         key = os.environ.get(name, "").strip() if name else ""
-        if key:
-            return key
-        if variable or self.server.key_required:
+        if required and not key:
             raise CredentialError(
                 f"{self} needs a key, and the environment variable {name} is not set: export {name}=..."
             )
-        return _LOCAL_KEY
+        return key or _LOCAL_KEY
 
     def _explain(self, error: Exception) -> A4Error:
         sdk = self._openai
@@ -205,7 +204,8 @@ class Connection:
         if any(mark in low for mark in _NO_QUOTA):
             return CredentialError(f"{about}; the account has no credit left: add some, or use another key")
         if status in (401, 403):
-            return CredentialError(f"{about}; check the key in {self._key_name()}")
+            variable = self._key_variable or "the variable that the setting `api_key_variable` names"
+            return CredentialError(f"{about}; check the key in {variable}")
         if status == 404:
             return self._explain_not_found(about, low)
         if status == 429 or (status in (503, 529) and retry_after is not None):
@@ -225,9 +225,6 @@ class Connection:
         if "model" in low:
             return UnknownNameError(f"{about}; check the name after 'openai:'")
         return ConfigError(f"{about}; base_url usually ends in '/v1'")
-
-    def _key_name(self) -> str:
-        return self.server.key_variable or "the variable named by `api_key_variable`"
 
 
 def _said(error: Any) -> str:
