@@ -77,7 +77,7 @@ class Query:
     """A question to the agent: all that a stage may know of a sample. `id` is unique within a run."""
 
     id: str
-    image: str | Path | bytes | np.ndarray | Image
+    image: str | Path | bytes | np.ndarray | Image = field(repr=False)
     instruction: str
 
 
