@@ -8,7 +8,7 @@ from contextlib import suppress
 
 import pytest
 
-from a4agent.engine.retry import FAILURES_TO_OPEN, LONGEST_WAIT, Breaker, backoff, fresh
+from a4agent.engine.retry import FAILURES_TO_OPEN, LONGEST_WAIT, Breaker, Pace, backoff, fresh
 from a4agent.errors import CredentialError, ProviderError, ProviderUnavailable, RateLimited
 
 
@@ -114,3 +114,36 @@ def test_what_was_given_up_stays_so() -> None:
     for _ in range(2):
         with pytest.raises(CredentialError, match="refused"):
             breaker.enter()
+
+
+def test_the_pace_finds_the_limit_and_stays_near_it() -> None:
+    pace, limit = Pace(32), 6
+    seen: list[int] = []
+    refused = 0
+    for _ in range(400):  # rounds of calls that are made together
+        started = time.monotonic()
+        calls = pace.calls
+        seen.append(calls)
+        for call in range(calls):
+            if call < limit:
+                pace.succeeded()
+            else:
+                refused += 1
+                pace.limited(started)
+    assert seen[0] == 32
+    assert all(calls <= limit + 1 for calls in seen[10:])
+    assert sum(seen[10:]) / len(seen[10:]) > 0.75 * limit
+    assert refused < 0.1 * sum(seen) + 100
+
+
+def test_the_pace_is_what_the_expert_can_take_when_nothing_is_refused() -> None:
+    pace = Pace(3)
+    for _ in range(100):
+        pace.succeeded()
+    assert pace.calls == 3
+    for _ in range(100):
+        pace.limited(time.monotonic())
+    assert pace.calls == 1
+    for _ in range(100):
+        pace.succeeded()
+    assert pace.calls == 3

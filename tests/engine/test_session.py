@@ -228,6 +228,33 @@ def test_a_rate_limit_is_waited_out(queries: Queries) -> None:
     assert state["early"] == 0
 
 
+class Crowded(ScriptedDetector):
+    """Refuses whatever is more than four calls at once."""
+
+    def __init__(self) -> None:
+        super().__init__(id="crowded:detector", concurrency=32)
+        self.counter = threading.Lock()
+        self.now = self.refused = 0
+
+    def detect(self, requests: Any) -> Any:
+        with self.counter:
+            self.now += 1
+            refuse = self.now > 4
+            self.refused += refuse
+        time.sleep(0.001 if refuse else 0.005)
+        with self.counter:
+            self.now -= 1
+        return [RateLimited("slow down")] if refuse else super().detect(requests)
+
+
+def test_a_provider_that_takes_few_calls_at_once_is_asked_no_faster(queries: Queries) -> None:
+    detector = Crowded()
+    agent = A4Agent(None, None, Spotter(detector, ScriptedSegmenter()))
+    answers = by_id(agent, queries(300), settings=EngineSettings(retry_wait=0.02))
+    assert {a.status for a in answers.values()} == {"ok"}
+    assert detector.refused < 150  # with 32 at once and no restraint it is in the thousands
+
+
 class Encoder(ScriptedSegmenter):
     """A segmenter that tells which images it prepared."""
 

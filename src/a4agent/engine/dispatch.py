@@ -13,9 +13,9 @@ from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
 from typing import TYPE_CHECKING, cast
 
-from a4agent.engine.retry import Breaker, fresh
+from a4agent.engine.retry import Breaker, Pace, fresh
 from a4agent.engine.stats import ExpertStats
-from a4agent.errors import A4Error, OutOfMemory, ProviderError, ProviderTimeout
+from a4agent.errors import A4Error, OutOfMemory, ProviderError, ProviderTimeout, RateLimited
 from a4agent.experts.base import Answer, Expert, Prepares, Request, ask
 
 if TYPE_CHECKING:
@@ -64,9 +64,9 @@ class _Call:
 class Dispatcher:
     """Keeps up to `expert.concurrency` calls of up to `expert.max_batch` requests in flight, a thread for each.
 
-    A call that is not full waits `batch_wait` seconds for more requests. A batch that runs out of memory is
-    halved, here and from then on; one that fails for another reason than the expert being down is asked again
-    one by one, so that a bad request fails alone.
+    They are fewer for a provider that asks to slow down. A call that is not full waits `batch_wait` seconds for
+    more requests. A batch that runs out of memory is halved, here and from then on; one that fails for another
+    reason than the expert being down is asked again one by one, so that a bad request fails alone.
     """
 
     def __init__(self, expert: Expert, breaker: Breaker, stats: ExpertStats, batch_wait: float) -> None:
@@ -76,6 +76,7 @@ class Dispatcher:
         self._batch_wait = batch_wait
         self._max_batch = max(1, expert.max_batch)
         self._slots = max(1, expert.concurrency)
+        self._pace = Pace(self._slots)
         self._jobs: deque[Job] = deque()
         self._to_prepare: dict[int, Image] = {}
         self._prepared: set[int] = set()
@@ -152,6 +153,8 @@ class Dispatcher:
             threading.Thread(target=self._work, name=f"a4 {self.expert.id}", daemon=True).start()
 
     def _has_work(self) -> bool:
+        if len(self._calls) >= self._pace.calls:
+            return False
         return bool(self._jobs or (self._to_prepare and len(self._prepared) < PREPARED_AHEAD))
 
     def _work(self) -> None:
@@ -161,6 +164,7 @@ class Dispatcher:
                 if call.replaced:
                     return
                 self._calls.discard(call)
+                self._wake()
             del call
 
     def _take(self) -> _Call | None:
@@ -209,7 +213,7 @@ class Dispatcher:
         outcomes = self._ask([job.request for job in call.jobs])
         seconds = time.monotonic() - call.started
         self.stats.count_call(len(call.jobs), seconds)
-        self._judge(outcomes)
+        self._judge(outcomes, call.started)
         for job, outcome in zip(call.jobs, outcomes, strict=True):
             job.settle(outcome, seconds)
 
@@ -230,8 +234,13 @@ class Dispatcher:
                 return [fresh(error) for _ in requests]
             return [outcome for request in requests for outcome in self._ask([request])]
 
-    def _judge(self, outcomes: Sequence[Outcome]) -> None:
-        """Tell the breaker how the expert does. One answer of a batch is a sign of life."""
+    def _judge(self, outcomes: Sequence[Outcome], started: float) -> None:
+        """Tell breaker and pace how the expert does. One answer of a batch is a sign of life."""
+        with self._changed:
+            if any(isinstance(outcome, RateLimited) for outcome in outcomes):
+                self._pace.limited(started)
+            else:
+                self._pace.succeeded()
         failures = [outcome for outcome in outcomes if isinstance(outcome, Exception)]
         for error in failures:
             if isinstance(error, A4Error) and error.fatal:

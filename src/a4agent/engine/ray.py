@@ -142,7 +142,6 @@ def _dataset(settings: Settings, rows: list[_Row], pools: dict[str, dict[str, fl
 def _answers(dataset: Any, settings: Settings, stats: Stats) -> Iterator[tuple[int, Query, Affordance]]:
     """What comes out of the last stage, until a budget is used up or a row says that nothing can succeed."""
     limits, started = settings.engine, time.monotonic()
-    ray_error = require("ray.exceptions", extra="ray").RayError
     try:
         for item in dataset.iter_rows():
             row: _Row = pickle.loads(item["row"])
@@ -162,7 +161,9 @@ def _answers(dataset: Any, settings: Settings, stats: Stats) -> Iterator[tuple[i
                     f"the budget of engine.max_seconds = {limits.max_seconds:g} is used up:"
                     f" {sum(stats.samples.values())} samples ended; run again to go on"
                 )
-    except ray_error as error:
+    except A4Error:
+        raise
+    except Exception as error:  # Ray has several trees of its own
         raise ProviderError(f"Ray stopped the run: {error}; what was answered stays, run again to go on") from error
 
 

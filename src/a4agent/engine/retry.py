@@ -1,4 +1,4 @@
-"""When to ask again: how long a failed request waits, and how long an expert that keeps failing is left alone."""
+"""When to ask again: how long a failed request waits, how many go at once, and when an expert is left alone."""
 
 from __future__ import annotations
 
@@ -28,6 +28,35 @@ def fresh(error: A4Error) -> A4Error:
     twin = copy.copy(error)
     twin.__cause__ = error.__cause__
     return twin
+
+
+class Pace:
+    """How many calls at once a provider takes, found out by asking: fewer after a rate limit, more while all goes well.
+
+    It drops by three tenths for each round of calls that met the limit, comes back quickly to just below where
+    that was, and feels its way up from there, by one in five rounds.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = float(most)
+        self._now = float(most)
+        self._limit = float(most)
+        self._dropped_at = 0.0
+
+    @property
+    def calls(self) -> int:
+        return int(self._now)
+
+    def succeeded(self) -> None:
+        step = 1.0 if self._now < self._limit else 0.2
+        self._now = min(self._most, self._now + step / self._now)
+
+    def limited(self, started: float) -> None:
+        """A call that was made at `started` (monotonic) met the limit."""
+        if started >= self._dropped_at:
+            self._limit = 0.9 * self._now
+            self._now = max(1.0, 0.7 * self._now)
+            self._dropped_at = time.monotonic()
 
 
 class Breaker:
