@@ -87,7 +87,7 @@ def create_app(
             return StreamingResponse(desk.stream(work), media_type="text/event-stream", headers=openapi.STREAM_HEADERS)
         return JSONResponse(await desk.answer(work, request))
 
-    @app.post("/v1/affordances/batch", **openapi.batch())
+    @app.post("/v1/affordances/batch", **openapi.batch(limits.batch))
     async def affordances_batch(
         request: Request, mask: MaskQuery = "rle", imagination: PictureQuery = "none"
     ) -> JSONResponse:

@@ -19,6 +19,16 @@ picture. A model's mistake is an answer with the status `invalid` or `error`; no
 
 STREAM_HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
 
+_EVENT = {
+    "type": "object",
+    "description": "One server-sent event; `data` is JSON on one line.",
+    "required": ["event", "data"],
+    "properties": {
+        "event": {"enum": ["queued", "imagination", "target", "detection", "affordance", "error"]},
+        "data": {"type": "string"},
+    },
+}
+
 _MEANING = {
     400: "The body cannot be parsed.",
     401: "The bearer token is missing or wrong.",
@@ -49,7 +59,7 @@ def one() -> dict[str, Any]:
         "additionalProperties": False,
         "properties": {
             "image": {"type": "string", "format": "binary", "description": "the file of a picture"},
-            **{name: _schema(SampleIn)["properties"][name] for name in ("instruction", "part", "id")},
+            **{name: _text_schema(name) for name in ("instruction", "part", "id")},
         },
     }
     body = {
@@ -64,15 +74,17 @@ def one() -> dict[str, Any]:
         "model": wire.AffordanceOut,
         "description": "The affordance; with `stream=1` the events `queued`, `imagination`, `target`, `detection` and"
         " `affordance` (or `error`).",
-        "content": {"text/event-stream": {"schema": {"type": "string"}}},
+        "content": {"text/event-stream": {"schema": _EVENT}},
     }
     return {"responses": answers, "openapi_extra": {"requestBody": body}}
 
 
-def batch() -> dict[str, Any]:
-    """The keywords of the batch endpoint's route."""
+def batch(most: int) -> dict[str, Any]:
+    """The keywords of the batch endpoint's route; a batch has `most` samples or fewer."""
+    schema = _schema(BatchIn)
+    schema["properties"]["samples"]["maxItems"] = most
     value = {"samples": [{**example(), "id": "left"}, {**example(), "id": "right"}]}
-    content = {"application/json": {"schema": _schema(BatchIn), "examples": {"two": {"value": value}}}}
+    content = {"application/json": {"schema": schema, "examples": {"two": {"value": value}}}}
     return {
         "responses": {
             **errors(400, 408, 413, 415, 422, 503),
@@ -119,6 +131,13 @@ def example() -> dict[str, str]:
     file = io.BytesIO()
     picture.save(file, "PNG", optimize=True)
     return {"image": base64.b64encode(file.getvalue()).decode("ascii"), "instruction": "drink from the mug"}
+
+
+def _text_schema(name: str) -> dict[str, Any]:
+    """A text field of a form: one that may be null in JSON is left out of a form."""
+    schema = _schema(SampleIn)["properties"][name]
+    text = next((kind for kind in schema.get("anyOf", ()) if kind.get("type") == "string"), {})
+    return {**{key: value for key, value in schema.items() if key not in ("anyOf", "default")}, **text}
 
 
 def _schema(model: Any) -> dict[str, Any]:
