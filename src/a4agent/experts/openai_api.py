@@ -16,11 +16,11 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from a4agent.errors import A4Error, ConfigError, ProviderUnavailable, RefusedAnswer, RequestRejected
-from a4agent.experts.base import ChatAnswer, ChatRequest, ExpertBase, Role, Usage
+from a4agent.errors import A4Error, ConfigError, RefusedAnswer, RequestRejected
+from a4agent.experts.base import ChatAnswer, ChatRequest, Role
 from a4agent.experts.openai_client import Connection, Sent
 from a4agent.experts.picture_bytes import PictureEncoder
-from a4agent.experts.prices import price_from_setting, price_of
+from a4agent.experts.remote import RemoteExpert
 
 _RUNG_WORDS = ("response_format", "json_schema", "json_object", "schema", "grammar", "structured", "guided", "'json'")
 _OPTIONAL = ("temperature", "seed")
@@ -87,8 +87,6 @@ def create(
     rungs = connection.server.structured if structured == "auto" else (structured,)
     if not set(rungs) <= {"json_schema", "json_object", "text"}:
         raise ConfigError(f"structured = {structured!r}: write auto, json_schema, json_object or text")
-    if concurrency < 1:
-        raise ConfigError(f"concurrency is at least 1, not {concurrency!r}")
     return OpenAIVLM(
         connection,
         PictureEncoder(image_format, max_side, quality),
@@ -101,11 +99,8 @@ def create(
     )
 
 
-class OpenAIVLM(ExpertBase):
-    """A VisionLanguageModel over a `Connection`; `create` explains the settings.
-
-    `max_side` is public: who needs to know the size in which the model sees an image reads it there.
-    """
+class OpenAIVLM(RemoteExpert):
+    """A VisionLanguageModel over a `Connection`; `create` explains the settings."""
 
     def __init__(
         self,
@@ -124,14 +119,12 @@ class OpenAIVLM(ExpertBase):
             "structured": list(rungs),
             **optional,
             "detail": detail,
-            "image_format": encoder.image_format,
-            "max_side": encoder.max_side,
-            "quality": encoder.quality if encoder.image_format == "jpeg" else None,
+            **encoder.settings,
             "extra": dict(extra),
         }
-        super().__init__(f"openai:{connection.model}", settings=settings, max_batch=1, concurrency=concurrency)
-        self.max_side = encoder.max_side
-        self._connection = connection
+        super().__init__(
+            f"openai:{connection.model}", connection, settings=settings, concurrency=concurrency, price=price
+        )
         self._encoder = encoder
         self._rungs = tuple(rungs)
         self._optional = {name: value for name, value in optional.items() if value is not None}
@@ -139,23 +132,10 @@ class OpenAIVLM(ExpertBase):
         self._extra = dict(extra)
         self._refused: set[str] = set()
         self._lock = threading.Lock()
-        listed = price_of(connection.model) if connection.server.priced else None
-        self._price = price_from_setting(price) if price else listed
 
     def chat(self, requests: Sequence[ChatRequest]) -> list[ChatAnswer | A4Error]:
         """One call a request. Errors that every request would meet are raised, others are answers."""
-        answers: list[ChatAnswer | A4Error] = []
-        for request in requests:
-            try:
-                answers.append(self._ask(request))
-            except A4Error as error:
-                if error.fatal:
-                    raise
-                answers.append(error)
-        return answers
-
-    def close(self) -> None:
-        self._connection.close()
+        return self._one_by_one(requests, self._ask)
 
     def _ask(self, request: ChatRequest) -> ChatAnswer:
         messages = self._messages(request)
@@ -211,35 +191,16 @@ class OpenAIVLM(ExpertBase):
         return bool(refused)
 
     def _read(self, completion: Any, sent: Sent) -> ChatAnswer:
-        choices = getattr(completion, "choices", None)
-        if not choices or getattr(choices[0], "message", None) is None:
-            raise ProviderUnavailable(f"{self._connection} sent an answer without choices")
-        choice, message = choices[0], choices[0].message
-        refusal = getattr(message, "refusal", None)
+        choice = self._first_choice(completion)
+        refusal = getattr(choice.message, "refusal", None)
         if refusal or choice.finish_reason == "content_filter":
             raise RefusedAnswer(f"{self._connection} declined: {refusal or 'stopped by its content filter'}")
-        text = _text_of(message.content)
-        finish = "length" if choice.finish_reason == "length" else "stop"
-        kept = (getattr(message, name, None) for name in self._connection.server.reasoning_fields)
-        reasoning = next((str(value) for value in kept if value), "")
-        return ChatAnswer(text, reasoning, finish, self._usage(completion, sent))
-
-    def _usage(self, completion: Any, sent: Sent) -> Usage:
-        usage = getattr(completion, "usage", None)
-        tokens_in = int(getattr(usage, "prompt_tokens", 0) or 0)
-        tokens_out = int(getattr(usage, "completion_tokens", 0) or 0)
-        details = getattr(usage, "prompt_tokens_details", None)
-        cached_in = int(getattr(details, "cached_tokens", 0) or 0)
-        cost = None
-        if self._price is not None and usage is not None:
-            cost = self._price.cost(tokens_in=tokens_in, tokens_out=tokens_out, cached_in=cached_in)
-        return Usage(
-            seconds=sent.seconds,
-            attempts=sent.attempts,
-            tokens_in=tokens_in,
-            tokens_out=tokens_out,
-            cost=cost,
-            request_id=sent.request_id,
+        kept = (getattr(choice.message, name, None) for name in self._connection.server.reasoning_fields)
+        return ChatAnswer(
+            text=_text_of(choice.message.content),
+            reasoning=next((str(value) for value in kept if value), ""),
+            finish_reason="length" if choice.finish_reason == "length" else "stop",
+            usage=self._usage(completion, sent),
         )
 
 

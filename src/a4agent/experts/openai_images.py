@@ -17,10 +17,10 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from a4agent.errors import A4Error, ConfigError, UnreadableAnswer
-from a4agent.experts.base import EditAnswer, EditRequest, ExpertBase, Role, Usage
-from a4agent.experts.openai_client import Connection, Sent
+from a4agent.experts.base import EditAnswer, EditRequest, Role
+from a4agent.experts.openai_client import Connection
 from a4agent.experts.picture_bytes import PictureEncoder
-from a4agent.experts.prices import price_from_setting, price_of
+from a4agent.experts.remote import RemoteExpert
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -66,8 +66,6 @@ def create(
     """
     if role != "editor":
         raise ConfigError(f"'openai-images:{model}' is an editor and cannot be a {role}")
-    if concurrency < 1:
-        raise ConfigError(f"concurrency is at least 1, not {concurrency!r}")
     connection = Connection(
         model,
         base_url=base_url,
@@ -80,7 +78,7 @@ def create(
     return OpenAIEditor(connection, PictureEncoder("png", max_side), wanted, dict(extra or {}), concurrency, price)
 
 
-class OpenAIEditor(ExpertBase):
+class OpenAIEditor(RemoteExpert):
     """An ImageEditor over a `Connection`; `create` explains the settings."""
 
     def __init__(
@@ -92,29 +90,17 @@ class OpenAIEditor(ExpertBase):
         concurrency: int,
         price: Mapping[str, float] | None,
     ) -> None:
-        settings = {"base_url": connection.base_url, **wanted, "extra": dict(extra), "max_side": encoder.max_side}
-        super().__init__(f"openai-images:{connection.model}", settings=settings, concurrency=concurrency)
-        self._connection = connection
+        settings = {"base_url": connection.base_url, **wanted, "extra": dict(extra), **encoder.settings}
+        super().__init__(
+            f"openai-images:{connection.model}", connection, settings=settings, concurrency=concurrency, price=price
+        )
         self._encoder = encoder
         self._wanted = dict(wanted)
         self._extra = dict(extra)
-        listed = price_of(connection.model) if connection.server.priced else None
-        self._price = price_from_setting(price) if price else listed
 
     def edit(self, requests: Sequence[EditRequest]) -> list[EditAnswer | A4Error]:
         """One call a request. Errors that every request would meet are raised, others are answers."""
-        answers: list[EditAnswer | A4Error] = []
-        for request in requests:
-            try:
-                answers.append(self._ask(request))
-            except A4Error as error:
-                if error.fatal:
-                    raise
-                answers.append(error)
-        return answers
-
-    def close(self) -> None:
-        self._connection.close()
+        return self._one_by_one(requests, self._ask)
 
     def _ask(self, request: EditRequest) -> EditAnswer:
         picture = ("image.png", self._encoder.encode(request.image), self._encoder.media_type)
@@ -145,21 +131,3 @@ class OpenAIEditor(ExpertBase):
                 return image.convert("RGB")
         except (binascii.Error, OSError, ValueError, Image.DecompressionBombError) as error:
             raise UnreadableAnswer(f"{self._connection} sent a picture that cannot be read: {error}") from error
-
-    def _usage(self, result: Any, sent: Sent) -> Usage:
-        usage = getattr(result, "usage", None)
-        tokens_in = int(getattr(usage, "input_tokens", 0) or 0)
-        tokens_out = int(getattr(usage, "output_tokens", 0) or 0)
-        details = getattr(usage, "input_tokens_details", None)
-        image_in = int(getattr(details, "image_tokens", 0) or 0)
-        cost = None
-        if self._price is not None and usage is not None:
-            cost = self._price.cost(tokens_in=tokens_in, tokens_out=tokens_out, image_in=image_in)
-        return Usage(
-            seconds=sent.seconds,
-            attempts=sent.attempts,
-            tokens_in=tokens_in,
-            tokens_out=tokens_out,
-            cost=cost,
-            request_id=sent.request_id,
-        )

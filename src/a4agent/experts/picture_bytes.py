@@ -11,7 +11,7 @@ import io
 import threading
 import weakref
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from a4agent.errors import ConfigError
 
@@ -36,6 +36,12 @@ class PictureEncoder:
             raise ConfigError(f"image_format = {self.image_format!r}: write one of {', '.join(sorted(FORMATS))}")
         if self.max_side < 0 or not 1 <= self.quality <= 100:
             raise ConfigError(f"max_side is 0 or more and quality 1 to 100, not {self.max_side!r} and {self.quality!r}")
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What of it changes the bytes."""
+        lossy = {"quality": self.quality} if self.image_format == "jpeg" else {}
+        return {"image_format": self.image_format, "max_side": self.max_side, **lossy}
 
     @property
     def media_type(self) -> str:

@@ -16,10 +16,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from a4agent.errors import A4Error, ConfigError, ProviderUnavailable, TruncatedAnswer, UnreadableAnswer
-from a4agent.experts.base import Detection, DetectRequest, ExpertBase, Role, Usage
+from a4agent.errors import A4Error, ConfigError, TruncatedAnswer, UnreadableAnswer
+from a4agent.experts.base import Detection, DetectRequest, Role, Usage
 from a4agent.experts.openai_client import Connection, Sent
 from a4agent.experts.picture_bytes import PictureEncoder
+from a4agent.experts.remote import RemoteExpert
 from a4agent.experts.rex_omni_answer import (
     MAX_NEW_TOKENS,
     REPETITION_PENALTY,
@@ -87,8 +88,8 @@ def create(
         raise ConfigError(f"'rex-omni-server:{model}' is a detector and cannot be a {role}")
     if not model:
         raise ConfigError("write the server's address after the colon: 'rex-omni-server:http://127.0.0.1:8000/v1'")
-    if concurrency < 1 or max_tokens < 1:
-        raise ConfigError(f"concurrency and max_tokens are at least 1, not {concurrency!r} and {max_tokens!r}")
+    if max_tokens < 1:
+        raise ConfigError(f"max_tokens is at least 1, not {max_tokens!r}")
     connection = Connection(
         served_model,
         base_url=model,
@@ -106,40 +107,22 @@ def create(
     )
 
 
-class RexOmniServer(ExpertBase):
+class RexOmniServer(RemoteExpert):
     """A Detector over a `Connection`; `create` explains the settings."""
 
     def __init__(
         self, connection: Connection, encoder: PictureEncoder, *, points: bool, max_tokens: int, concurrency: int
     ) -> None:
-        settings = {
-            "model": connection.model,
-            "points": points,
-            "max_tokens": max_tokens,
-            "image_format": encoder.image_format,
-            "max_side": encoder.max_side,
-            "quality": encoder.quality if encoder.image_format == "jpeg" else None,
-        }
-        super().__init__(f"rex-omni-server:{connection.base_url}", settings=settings, concurrency=concurrency)
-        self._connection = connection
+        settings = {"model": connection.model, "points": points, "max_tokens": max_tokens, **encoder.settings}
+        address = f"rex-omni-server:{connection.base_url}"
+        super().__init__(address, connection, settings=settings, concurrency=concurrency)
         self._encoder = encoder
         self._points = points
         self._max_tokens = max_tokens
 
     def detect(self, requests: Sequence[DetectRequest]) -> list[Detection | A4Error]:
         """Two calls a request (boxes, points). Errors that every request would meet are raised."""
-        found: list[Detection | A4Error] = []
-        for request in requests:
-            try:
-                found.append(self._detect(request))
-            except A4Error as error:
-                if error.fatal:
-                    raise
-                found.append(error)
-        return found
-
-    def close(self) -> None:
-        self._connection.close()
+        return self._one_by_one(requests, self._detect)
 
     def _detect(self, request: DetectRequest) -> Detection:
         questions = [detection_prompt(request.phrase)]
@@ -174,32 +157,21 @@ class RexOmniServer(ExpertBase):
         return self._read(completion, sent, image.size)
 
     def _read(self, completion: Any, sent: Sent, size_wh: tuple[int, int]) -> tuple[list[Shape], str, Usage]:
-        choices = getattr(completion, "choices", None)
-        message = getattr(choices[0], "message", None) if choices else None
-        if not choices or message is None:
-            raise ProviderUnavailable(f"{self._connection} sent an answer without choices")
-        text: str = message.content or ""
-        ids: list[int] = getattr(choices[0], "token_ids", None) or []
+        choice = self._first_choice(completion)
+        text: str = choice.message.content or ""
+        ids: list[int] = getattr(choice, "token_ids", None) or []
         if SPECIAL_IDS[_BOX] in ids:
             shapes = read_tokens(ids, size_wh, _commas)
         elif _BOX in text:
             shapes = read_answer(text, size_wh)
-        elif choices[0].finish_reason == "length":
+        elif choice.finish_reason == "length":
             raise TruncatedAnswer(f"cut off after {self._max_tokens} tokens; raise the detector's setting max_tokens")
         else:
             raise UnreadableAnswer(
                 f"{self._connection} sent no {_BOX}, but {text[:200]!r}: it must keep special tokens and be served "
                 "from a folder with the repaired tokenizer"
             )
-        tokens = getattr(completion, "usage", None)
-        usage = Usage(
-            seconds=sent.seconds,
-            attempts=sent.attempts,
-            tokens_in=int(getattr(tokens, "prompt_tokens", 0) or 0),
-            tokens_out=int(getattr(tokens, "completion_tokens", 0) or 0),
-            request_id=sent.request_id,
-        )
-        return shapes, text, usage
+        return shapes, text, self._usage(completion, sent)
 
 
 def _commas(ids: list[int]) -> str:

@@ -1,0 +1,89 @@
+"""What the experts behind an OpenAI-compatible server share: one call a request, its price, its first choice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
+
+from a4agent.errors import A4Error, ConfigError, ProviderUnavailable
+from a4agent.experts.base import ExpertBase, Usage
+from a4agent.experts.openai_client import Connection, Sent
+from a4agent.experts.prices import price_from_setting, price_of
+
+RequestT = TypeVar("RequestT")
+AnswerT = TypeVar("AnswerT")
+
+
+class RemoteExpert(ExpertBase):
+    """An expert over a `Connection`. Calls overlap (`concurrency`); a call carries one request.
+
+    Args:
+        id: "provider:model".
+        connection: the model on its server.
+        settings: all that changes an answer.
+        concurrency: calls that may be in flight at once.
+        price: US dollars per million tokens, if the list price does not hold.
+
+    Raises:
+        ConfigError: a concurrency below 1, or a price that is none.
+    """
+
+    def __init__(
+        self,
+        id: str,
+        connection: Connection,
+        *,
+        settings: Mapping[str, Any],
+        concurrency: int,
+        price: Mapping[str, float] | None = None,
+    ) -> None:
+        if concurrency < 1:
+            raise ConfigError(f"concurrency is at least 1, not {concurrency!r}")
+        super().__init__(id, settings=settings, max_batch=1, concurrency=concurrency)
+        self._connection = connection
+        listed = price_of(connection.model) if connection.server.priced else None
+        self._price = price_from_setting(price) if price else listed
+
+    def close(self) -> None:
+        self._connection.close()
+
+    def _one_by_one(self, requests: Sequence[RequestT], ask: Callable[[RequestT], AnswerT]) -> list[AnswerT | A4Error]:
+        """`ask` each request. An error that every request would meet is raised, another is that request's answer."""
+        answers: list[AnswerT | A4Error] = []
+        for request in requests:
+            try:
+                answers.append(ask(request))
+            except A4Error as error:
+                if error.fatal:
+                    raise
+                answers.append(error)
+        return answers
+
+    def _first_choice(self, completion: Any) -> Any:
+        choices = getattr(completion, "choices", None)
+        if not choices or getattr(choices[0], "message", None) is None:
+            raise ProviderUnavailable(f"{self._connection} sent an answer without choices")
+        return choices[0]
+
+    def _usage(self, answer: Any, sent: Sent) -> Usage:
+        """Tokens and dollars of an answer; servers may leave tokens out, and then no price is known."""
+        usage = getattr(answer, "usage", None)
+        tokens_in = _count(usage, "prompt_tokens", "input_tokens")
+        tokens_out = _count(usage, "completion_tokens", "output_tokens")
+        cost = None
+        if self._price is not None and usage is not None:
+            cached_in = _count(getattr(usage, "prompt_tokens_details", None), "cached_tokens")
+            image_in = _count(getattr(usage, "input_tokens_details", None), "image_tokens")
+            cost = self._price.cost(tokens_in=tokens_in, tokens_out=tokens_out, cached_in=cached_in, image_in=image_in)
+        return Usage(
+            seconds=sent.seconds,
+            attempts=sent.attempts,
+            tokens_in=tokens_in,
+            tokens_out=tokens_out,
+            cost=cost,
+            request_id=sent.request_id,
+        )
+
+
+def _count(usage: Any, *names: str) -> int:
+    return next((int(value) for name in names if (value := getattr(usage, name, None))), 0)
