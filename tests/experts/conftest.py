@@ -52,12 +52,42 @@ tiny_owlv2 = _fixture("owlv2")
 tiny_qwen_image_edit = _fixture("qwen_image_edit")
 
 
+PHRASE = "the handle of the mug"
+BINS = ((100, 200, 700, 800), (0, 0, 500, 999))
+POINT = (400, 500)
+
+
+@pytest.fixture(scope="session")
+def taught_rex_omni(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A Rex-Omni that has learnt to find PHRASE in a picture: the boxes BINS and the POINT, in bins of 999."""
+    _torch_ready()
+    from a4agent.experts import random_weights, rex_omni
+    from a4agent.experts.local_chat import Turn
+    from a4agent.experts.rex_omni_answer import SYSTEM, detection_prompt, pointing_prompt
+    from teaching import teach
+
+    folder = random_weights.save_rex_omni(tmp_path_factory.mktemp("checkpoints") / "taught-rex-omni")
+    expert = rex_omni.create(str(folder), "detector")
+    expert.load()
+    photo = noise_picture(96, 64)
+    opening = f"<|object_ref_start|>{PHRASE}<|object_ref_end|><|box_start|>"
+    boxes = ",".join("".join(f"<{number}>" for number in box) for box in BINS)
+    point = "".join(f"<{number}>" for number in POINT)
+    lessons = [
+        (Turn((photo,), detection_prompt(PHRASE), SYSTEM), f"{opening}{boxes}<|box_end|>"),
+        (Turn((photo,), pointing_prompt(PHRASE), SYSTEM), f"{opening}{point}<|box_end|>"),
+    ]
+    assert expert._model is not None
+    teach(expert._model, lessons, folder)
+    return folder
+
+
+def noise_picture(width: int, height: int, seed: int = 0) -> Image.Image:
+    pixels = np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
+    return Image.fromarray(pixels)
+
+
 @pytest.fixture
 def noise() -> Callable[..., Image.Image]:
     """noise(width, height, seed): an RGB picture that no other seed gives."""
-
-    def picture(width: int, height: int, seed: int = 0) -> Image.Image:
-        pixels = np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
-        return Image.fromarray(pixels)
-
-    return picture
+    return noise_picture

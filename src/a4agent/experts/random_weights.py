@@ -10,6 +10,7 @@ answers mean nothing; shapes, devices, batches, caches, time and memory are thos
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +32,9 @@ _CHATML = (
 )
 
 
-def save_qwen_vl(folder: Path, config: Any = None, *, seed: int = 0) -> Path:
-    """A Qwen2.5-VL whose vocabulary is the 256 bytes and the special tokens."""
-    _write_qwen_tokenizer(folder, _byte_vocabulary(), [], {}, _QWEN_SPECIAL)
+def save_qwen_vl(folder: Path, config: Any = None, *, phrases: Sequence[str] = (), seed: int = 0) -> Path:
+    """A Qwen2.5-VL whose vocabulary is the 256 bytes, the special tokens, and whole phrases as one token each."""
+    _write_qwen_tokenizer(folder, _byte_vocabulary(), [], {}, _QWEN_SPECIAL, phrases)
     return _save_qwen_model(folder, config, seed)
 
 
@@ -312,14 +313,21 @@ def _byte_vocabulary() -> dict[str, int]:
 
 
 def _write_qwen_tokenizer(
-    folder: Path, vocabulary: dict[str, int], merges: list[str], renamed: dict[int, str], special: list[str]
+    folder: Path,
+    vocabulary: dict[str, int],
+    merges: list[str],
+    renamed: dict[int, str],
+    special: list[str],
+    phrases: Sequence[str] = (),
 ) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    added = {**renamed, **{len(vocabulary) + k: name for k, name in enumerate(special)}}
-    flags = {"lstrip": False, "normalized": False, "rstrip": False, "single_word": False, "special": True}
+    added = {**renamed, **{len(vocabulary) + k: name for k, name in enumerate([*special, *phrases])}}
+    flags = {"lstrip": False, "normalized": False, "rstrip": False, "single_word": False}
     config: dict[str, Any] = {
         "tokenizer_class": "Qwen2Tokenizer",
-        "added_tokens_decoder": {str(number): {"content": name, **flags} for number, name in added.items()},
+        "added_tokens_decoder": {
+            str(number): {"content": name, "special": name not in phrases, **flags} for number, name in added.items()
+        },
         "eos_token": "<|im_end|>",
         "pad_token": "<|endoftext|>",
         "additional_special_tokens": special[1:],
