@@ -29,6 +29,21 @@ def attached(core: np.ndarray, odd: np.ndarray) -> np.ndarray:
     return grown
 
 
+def runs_out(core: np.ndarray, odd: np.ndarray, sides: tuple[bool, bool, bool, bool]) -> bool:
+    """Whether a piece that could be the rest of `core` is cut off by the window.
+
+    `sides` says which sides of the window (left, top, right, bottom) have more picture beyond them.
+    """
+    cv2 = require("cv2", extra="offline")
+    _, labels = cv2.connectedComponents((odd | core).astype(np.uint8))
+    for label in np.setdiff1d(labels[core], [0]):
+        whole = labels == label
+        edges = whole[:, 0].any(), whole[0].any(), whole[:, -1].any(), whole[-1].any()
+        if any(a and b for a, b in zip(edges, sides, strict=True)) and (whole & ~core).sum() < 1.5 * core.sum():
+            return True
+    return False
+
+
 def aligned(core: np.ndarray, odd: np.ndarray) -> np.ndarray:
     """`core` with the odd pieces just beyond the ends of its long axis; a compact core has none."""
     cv2 = require("cv2", extra="offline")

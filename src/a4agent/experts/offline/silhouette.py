@@ -14,7 +14,9 @@ import numpy as np
 
 from a4agent.errors import require
 from a4agent.experts.offline import growth
-from a4agent.experts.offline.colour import palette, to_lab, unlike
+from a4agent.experts.offline.boxes import Box, box_around
+from a4agent.experts.offline.colour import to_lab
+from a4agent.experts.offline.outline import outline
 from a4agent.experts.offline.saliency import saliency
 from a4agent.experts.offline.surfaces import innermost
 
@@ -25,10 +27,11 @@ OBJECT_SIDE = 150
 MOST_ENLARGED = 4.0
 MARGIN = 0.75
 """Of the object's longer side, to each side of its window."""
+WIDE_MARGIN = 3.0
+"""For an object that goes on beyond its window."""
+MOST_WINDOW = 450
 LOOK = 0.35
 """The same, for the picture that the network sees."""
-
-Box = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,89 +66,54 @@ def find_object(rgb: np.ndarray, threads: int = 0) -> Silhouette | None:
     blob = _largest(saliency(picture, threads))
     if blob is None:
         return None
-    blob = _innermost(picture, blob)
-    if blob.mean() > 0.15 and not _is_whole(blob):
+    thing = _innermost(picture, blob)
+    if thing is None and blob.mean() > 0.15 and not _is_whole(blob):
         blob = _centre_of(picture, blob, threads)
-    found = cut_out(picture, blob, threads)
+    found = cut_out(picture, blob if thing is None else thing, threads, by_colour=thing is not None)
     return Silhouette(_scaled(found.box_xyxy, 1 / shrink, width, height), found.mask, found.lab)
 
 
-def cut_out(rgb: np.ndarray, rough: np.ndarray, threads: int = 0) -> Silhouette:
-    """The object that a rough mask (H, W) bool, not blank, marks, in its window."""
+def cut_out(rgb: np.ndarray, rough: np.ndarray, threads: int = 0, by_colour: bool = False) -> Silhouette:
+    """The object that a rough mask (H, W) bool, not blank, marks, in its window.
+
+    `by_colour` says that the mask was found by its colour and may be trusted in detail.
+    """
+    found, cut_off = _in_window(rgb, rough, _look(rgb, rough, threads), MARGIN, by_colour)
+    if not cut_off:
+        return found
+    # Only a piece of something long was marked: find all of it, then look again.
+    wide, _ = _in_window(rgb, rough, _look(rgb, rough, threads, WIDE_MARGIN / 2), WIDE_MARGIN, by_colour)
+    whole = wide.to_image(wide.mask, (rgb.shape[1], rgb.shape[0]))
+    if not whole.any():
+        return found
+    return _in_window(rgb, whole, _look(rgb, whole, threads), MARGIN, by_colour=True)[0]
+
+
+def _look(rgb: np.ndarray, rough: np.ndarray, threads: int, margin: float = LOOK) -> np.ndarray:
+    """What the network says (H, W) float32 of the surroundings of a rough mask."""
+    x0, y0, x1, y1 = box_around(rough, margin)
+    certainty = np.zeros(rough.shape, np.float32)
+    certainty[y0:y1, x0:x1] = saliency(np.ascontiguousarray(rgb[y0:y1, x0:x1]), threads)
+    return certainty
+
+
+def _in_window(
+    rgb: np.ndarray, rough: np.ndarray, certainty: np.ndarray, margin: float, by_colour: bool
+) -> tuple[Silhouette, bool]:
+    """The object in a window with this margin, and whether the window is too small for it."""
     cv2 = require("cv2", extra="offline")
-    box = _box_around(rough, MARGIN)
-    x0, y0, x1, y1 = box
-    tight = _box_around(rough, 0.0)
+    height, width = rough.shape
+    x0, y0, x1, y1 = box = box_around(rough, margin)
+    tight = box_around(rough, 0.0)
     scale = min(MOST_ENLARGED, OBJECT_SIDE / max(tight[2] - tight[0], tight[3] - tight[1]))
+    scale = min(scale, MOST_WINDOW / max(x1 - x0, y1 - y0))
     size = max(4, round((x1 - x0) * scale)), max(4, round((y1 - y0) * scale))
     method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
     window = cv2.resize(rgb[y0:y1, x0:x1], size, interpolation=method)
     prior = cv2.resize(rough[y0:y1, x0:x1].astype(np.float32), size) > 0.5
-
-    u0, v0, u1, v1 = _box_around(rough, LOOK)
-    looked = saliency(np.ascontiguousarray(rgb[v0:v1, u0:u1]), threads)
-    certainty = np.zeros(rough.shape, np.float32)
-    certainty[v0:v1, u0:u1] = looked
-    certainty = cv2.resize(certainty[y0:y1, x0:x1], size)
-    return Silhouette(box, _refine(window, certainty, prior), to_lab(window, blur=0.8))
-
-
-def _refine(window: np.ndarray, certainty: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """The object's mask (h, w) from what the network says and what does not look like the local background."""
-    cv2 = require("cv2", extra="offline")
-    square = np.ones((3, 3), np.uint8)
-    sure = certainty > 0.5
-    if not (sure | prior).any():
-        return prior
-    lab = to_lab(window, blur=0.8)
-    reach = int(0.6 * np.sqrt(max(sure.sum(), prior.sum())))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    around = cv2.dilate((sure | prior).astype(np.uint8), disc) > 0
-    background = around & (certainty < 0.15) & (cv2.dilate(prior.astype(np.uint8), square, iterations=5) == 0)
-    colours = palette(lab[background])
-    if not colours:
-        return _main_pieces(sure if sure.any() else prior, sure | prior)
-    distance = unlike(lab, colours)
-    enough = float(np.clip(1.8 * np.percentile(distance[background], 85), 8.0, 14.0))
-    core = sure | (prior & (distance > enough))
-    if not core.any():
-        return prior
-    object_ = growth.attached(core, distance > 1.2 * enough)
-    object_ = growth.aligned(object_, distance > 0.8 * enough)
-
-    labels = np.where(object_, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
-    certain = ((certainty > 0.9) | (object_ & ~core)) & (distance > enough)
-    labels[cv2.erode(certain.astype(np.uint8), square, iterations=3) > 0] = cv2.GC_FGD
-    outside = cv2.dilate(object_.astype(np.uint8), square, iterations=8) == 0
-    labels[outside] = cv2.GC_BGD
-    labels[(distance < 0.6 * enough) & (certainty < 0.6)] = cv2.GC_BGD
-    return _main_pieces(_grab_cut(window, labels, ~outside, object_), object_)
-
-
-def _grab_cut(window: np.ndarray, labels: np.ndarray, region: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """`start` with its outline drawn to the edges of the picture (Rother et al., SIGGRAPH 2004), inside `region`."""
-    cv2 = require("cv2", extra="offline")
-    x0, y0, x1, y1 = _box_around(region, 0.05)
-    part = np.ascontiguousarray(labels[y0:y1, x0:x1])
-    if (part == cv2.GC_BGD).sum() < 50 or (start[y0:y1, x0:x1]).sum() < 20:
-        return start
-    cv2.setRNGSeed(0)
-    smooth = np.ascontiguousarray(cv2.GaussianBlur(window, (0, 0), 0.8)[y0:y1, x0:x1])
-    cv2.grabCut(smooth, part, None, np.zeros((1, 65)), np.zeros((1, 65)), 3, cv2.GC_INIT_WITH_MASK)
-    drawn = np.zeros_like(start)
-    drawn[y0:y1, x0:x1] = (part == cv2.GC_FGD) | (part == cv2.GC_PR_FGD)
-    return drawn if drawn.sum() > 0.4 * start.sum() else start
-
-
-def _main_pieces(mask: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The pieces of `mask` that hold most of `wanted`."""
-    cv2 = require("cv2", extra="offline")
-    _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
-    held = np.bincount(labels.ravel(), weights=wanted.ravel().astype(np.float64))
-    held[0] = 0
-    if held.max() == 0:
-        return mask
-    return np.isin(labels, np.flatnonzero((held > 0.1 * held.max()) & (held > 0)))
+    mask, odd = outline(window, cv2.resize(certainty[y0:y1, x0:x1], size), prior, by_colour)
+    cut_off = growth.runs_out(mask, odd, (x0 > 0, y0 > 0, x1 < width, y1 < height))
+    return Silhouette(box, mask, to_lab(window, blur=0.8)), cut_off
 
 
 def _largest(certainty: np.ndarray) -> np.ndarray | None:
@@ -160,8 +128,8 @@ def _largest(certainty: np.ndarray) -> np.ndarray | None:
     return None
 
 
-def _innermost(rgb: np.ndarray, blob: np.ndarray) -> np.ndarray:
-    """What lies on top of `blob`, or `blob` itself."""
+def _innermost(rgb: np.ndarray, blob: np.ndarray) -> np.ndarray | None:
+    """What lies on top of `blob`, (H, W) bool; None if it is no surface."""
     cv2 = require("cv2", extra="offline")
     shrink = min(1.0, SURFACE_SIDE / max(blob.shape))
     small = cv2.resize(rgb, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA) if shrink < 1 else rgb
@@ -169,7 +137,7 @@ def _innermost(rgb: np.ndarray, blob: np.ndarray) -> np.ndarray:
     size = lab.shape[1], lab.shape[0]
     trail = innermost(lab, cv2.resize(blob.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0)
     if len(trail) == 1:
-        return blob
+        return None
     return cv2.resize(trail[-1].astype(np.uint8), blob.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
 
 
@@ -183,7 +151,7 @@ def _is_whole(blob: np.ndarray) -> bool:
 
 def _centre_of(rgb: np.ndarray, blob: np.ndarray, threads: int) -> np.ndarray:
     """A smaller thing in the middle of `blob`, if the network sees a whole one there; else `blob`."""
-    x0, y0, x1, y1 = _box_around(blob, 0.0)
+    x0, y0, x1, y1 = box_around(blob, 0.0)
     dx, dy = int(0.18 * (x1 - x0)), int(0.18 * (y1 - y0))
     x0, y0, x1, y1 = x0 + dx, y0 + dy, x1 - dx, y1 - dy
     inner = _largest(saliency(np.ascontiguousarray(rgb[y0:y1, x0:x1]), threads))
@@ -195,15 +163,6 @@ def _centre_of(rgb: np.ndarray, blob: np.ndarray, threads: int) -> np.ndarray:
     found = np.zeros_like(blob)
     found[y0:y1, x0:x1] = inner
     return found
-
-
-def _box_around(mask: np.ndarray, margin: float) -> Box:
-    """The box around a mask, wider by `margin` of its longer side, inside the picture."""
-    height, width = mask.shape
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    x0, y0, x1, y1 = int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
-    more = round(margin * max(x1 - x0, y1 - y0))
-    return max(0, x0 - more), max(0, y0 - more), min(width, x1 + more), min(height, y1 + more)
 
 
 def _scaled(box: Box, factor: float, width: int, height: int) -> Box:

@@ -63,6 +63,8 @@ def things_on(lab: np.ndarray, blob: np.ndarray, strict: bool) -> np.ndarray | N
         if not 0.002 < share < 0.5 or stats[label, cv2.CC_STAT_AREA] < 20:
             continue
         thing = labels == label
+        if (thing & blob).sum() < 0.6 * thing.sum():
+            continue  # a hole in the blob
         contours, _ = cv2.findContours(thing.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         on_edge = (thing & edge).sum() / max(cv2.arcLength(max(contours, key=len), True), 1.0)
         off_centre = np.linalg.norm(centroids[label] - centre) / np.sqrt(area)
@@ -89,7 +91,7 @@ def _outline(blob: np.ndarray, strict: bool) -> np.ndarray | None:
             corners = cv2.approxPolyDP(hull, 0.04 * cv2.arcLength(hull, True), True)
             if len(corners) != 4 or not 0.9 < cv2.contourArea(outline) / max(cv2.contourArea(corners), 1.0) < 1.16:
                 return None
-    if outline is None or cv2.contourArea(outline) / cv2.contourArea(cv2.convexHull(outline)) < 0.95:
+    if outline is None or cv2.contourArea(outline) / cv2.contourArea(cv2.convexHull(outline)) < 0.96:
         return None
     return outline
 
