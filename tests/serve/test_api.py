@@ -103,10 +103,7 @@ def test_a_stream_tells_the_stages_in_order_and_ends_with_the_same_answer(serve:
 
 def test_stages_arrive_while_later_ones_still_work(serve: Serve, photo: bytes) -> None:
     call = serve(scripted_agent(dream=True, seconds=0.3))
-    connection = http.client.HTTPConnection(call.address)
     text = base64.b64encode(photo).decode()
-    connection.request("POST", f"{ONE}?stream=1", json.dumps({"image": text, "instruction": "open"}))
-    connection.close()
     connection = http.client.HTTPConnection(call.address)
     body = json.dumps({"image": text, "instruction": "open"}).encode()
     connection.request("POST", f"{ONE}?stream=1", body, {"Content-Type": "application/json"})
@@ -142,6 +139,29 @@ def test_a_batch_answers_in_order_and_one_bad_picture_spoils_no_other(serve: Ser
     assert [first["status"], second["status"], third["status"]] == ["ok", "error", "ok"]
     assert "damaged or cut off" in second["error"] or "not an image" in second["error"]
     assert third["instruction"] == "third"
+
+
+def test_the_samples_of_a_batch_overlap_and_keep_their_given_parts(serve: Serve, photo: bytes) -> None:
+    call = serve(scripted_agent(seconds=0.2, concurrency=8))
+    image = base64.b64encode(photo).decode()
+    samples = [
+        {"image": image, "instruction": "open", "part": f"part {i}"}
+        if i % 2
+        else {"image": image, "instruction": "open"}
+        for i in range(6)
+    ]
+    started = time.monotonic()
+    found = call("POST", BATCH, {"samples": samples}).json["affordances"]
+    assert time.monotonic() - started < 2.0  # 15 calls of 0.2 s: 3 s one after the other
+    parts = [affordance["target"]["object_part"] for affordance in found]
+    assert parts == [
+        "the handle of the thing",
+        "part 1",
+        "the handle of the thing",
+        "part 3",
+        "the handle of the thing",
+        "part 5",
+    ]
 
 
 def test_a_models_bad_answer_is_a_status_not_an_http_error(serve: Serve, photo: bytes) -> None:

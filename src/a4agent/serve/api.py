@@ -95,10 +95,7 @@ def create_app(
         asked = await desk.read_batch(request)
 
         def work(agent: A4Agent, tell: Tell) -> Any:
-            def pulse(name: str, value: Any) -> None:
-                tell("", None)  # nothing to tell, but work stops here once the caller has gone
-
-            found = [desk.predict(agent, one, pulse) for one in asked]
+            found = desk.predict_batch(agent, asked, tell)
             return {"affordances": [wire.to_wire(affordance, mask, imagination) for affordance in found]}
 
         return JSONResponse(await desk.answer(work, request))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import time
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import aclosing
 from dataclasses import replace
@@ -13,7 +12,8 @@ from typing import Any
 from starlette.datastructures import UploadFile
 from starlette.requests import ClientDisconnect, Request
 
-from a4agent.affordance import Affordance
+from a4agent import engine
+from a4agent.affordance import Affordance, Query
 from a4agent.agent import A4Agent
 from a4agent.errors import A4Error
 from a4agent.serve import questions, wire
@@ -58,14 +58,27 @@ class Desk:
             raise Refused(415, f"send application/json, not {kind or 'a body of no type'}")
         return await self._in_decoder(questions.batch_from_json, await request.body(), self.limits)
 
-    def predict(self, agent: A4Agent, question: Question | Unusable, tell: Tell) -> Affordance:
+    def predict(self, agent: A4Agent, question: Question, tell: Tell) -> Affordance:
         """One prediction, on a worker's thread."""
-        if isinstance(question, Unusable):
-            return Affordance(question.instruction, (0, 0), status="error", error=question.reason, id=question.id)
-        started = time.monotonic()
         affordance = agent.predict(question.picture, question.instruction, given=question.given, on_stage=tell)
-        self.metrics.predicted(affordance, time.monotonic() - started)
+        self.metrics.predicted(affordance)
         return replace(affordance, id=question.id)
+
+    def predict_batch(self, agent: A4Agent, asked: Sequence[Question | Unusable], tell: Tell) -> list[Affordance]:
+        """The affordances of a batch in its order, on a worker's thread; the engine overlaps their stages."""
+        usable = {str(number): one for number, one in enumerate(asked) if isinstance(one, Question)}
+        queries = [Query(key, one.picture, one.instruction) for key, one in usable.items()]
+        found: dict[str, Affordance] = {}
+        for query, affordance in engine.run(agent, queries, given=lambda query: usable[query.id].given):
+            self.metrics.predicted(affordance)
+            found[query.id] = affordance
+            tell("", None)  # nothing to tell, but work stops here once the caller has gone
+        return [
+            replace(found[str(number)], id=one.id)
+            if isinstance(one, Question)
+            else Affordance(one.instruction, (0, 0), status="error", error=one.reason, id=one.id)
+            for number, one in enumerate(asked)
+        ]
 
     async def answer(self, work: Work, request: Request) -> Any:
         """The result of the work; it is dropped when the caller goes away."""

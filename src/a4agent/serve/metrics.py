@@ -22,7 +22,7 @@ class Metrics:
         self._requests = prometheus.Counter("a4_requests", "HTTP answers", ["method", "path", "code"], **of)
         self._affordances = prometheus.Counter("a4_affordances", "Affordances by status", ["status"], **of)
         self._seconds = prometheus.Histogram(
-            "a4_affordance_seconds", "Seconds of work for one affordance", buckets=SECONDS, **of
+            "a4_affordance_seconds", "Seconds of model calls for one affordance", buckets=SECONDS, **of
         )
         self._wait = prometheus.Histogram(
             "a4_queue_seconds", "Seconds a job waited for a worker", buckets=SECONDS, **of
@@ -42,10 +42,10 @@ class Metrics:
     def waited(self, seconds: float) -> None:
         self._wait.observe(seconds)
 
-    def predicted(self, affordance: Affordance, seconds: float) -> None:
+    def predicted(self, affordance: Affordance) -> None:
         """Count one finished affordance, its model calls and what they cost."""
         self._affordances.labels(affordance.status).inc()
-        self._seconds.observe(seconds)
+        self._seconds.observe(affordance.trace.seconds)
         self._cost.inc(affordance.trace.cost)
         for step in affordance.trace.steps:
             self._stages.labels(step.stage, step.role).observe(step.seconds)
