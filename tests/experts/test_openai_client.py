@@ -20,7 +20,6 @@ from a4agent.errors import (
 from a4agent.experts.openai_client import Connection, find_server, servers
 from servers import FaultyServer, Reply, as_json, chat, error, models
 
-
 JSON = {"content-type": "application/json"}
 
 

@@ -11,6 +11,7 @@ HF_HUB_OFFLINE mean what they always mean.
 from __future__ import annotations
 
 import errno
+import importlib.util
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,6 +27,8 @@ _PROBE_SECONDS = 10.0
 
 def cached(name: str, revision: str | None = None, file: str = "") -> Path | None:
     """The complete snapshot of OWNER/NAME on this disk, or one file of it; None if it is not there. No network."""
+    if importlib.util.find_spec("huggingface_hub") is None:
+        return None
     hub, errors = _hub()
     if file:
         found = hub.try_to_load_from_cache(name, file, revision=revision)

@@ -1,0 +1,62 @@
+"""The hub without a network: what is said when it cannot be asked. (With one: tests/cli/test_models.py.)"""
+
+from __future__ import annotations
+
+import errno
+import sys
+
+import pytest
+
+from a4agent.errors import MissingExtraError, ModelFilesError, ResourceError
+from a4agent.experts import hub
+
+NAME = "owner/model-that-nobody-has"
+
+
+@pytest.fixture
+def online(monkeypatch):
+    """Let the hub be asked; what answers is up to the test."""
+    constants = pytest.importorskip("huggingface_hub").constants
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
+    return monkeypatch
+
+
+def test_what_is_not_cached_is_none():
+    pytest.importorskip("huggingface_hub")
+    assert hub.cached(NAME) is None
+    assert hub.cached(NAME, file="a/b.safetensors") is None
+
+
+@pytest.mark.parametrize("ask", [hub.reach, hub.fetch, hub.download_bytes])
+def test_offline_nothing_is_asked(ask):
+    pytest.importorskip("huggingface_hub")
+    with pytest.raises(ModelFilesError, match=f"HF_HUB_OFFLINE.*a4 models pull {NAME}"):
+        ask(NAME)
+
+
+def test_without_its_client_nothing_is_cached_and_asking_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "huggingface_hub", None)
+    assert hub.cached(NAME) is None
+    with pytest.raises(MissingExtraError, match=r"pip install 'a4agent\[local\]'"):
+        hub.reach(NAME)
+
+
+def test_a_full_disk_is_not_called_a_hub_that_cannot_be_reached(online):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    online.setattr(hub, "reach", lambda name, revision=None: None)
+    online.setattr("huggingface_hub.snapshot_download", full)
+    with pytest.raises(ResourceError, match="HF_HOME"):
+        hub.fetch(NAME)
+
+
+def test_whatever_else_goes_wrong_names_the_model_and_the_command(online):
+    def odd(*_, **__):
+        raise RuntimeError("something odd\nand long")
+
+    online.setattr(hub, "reach", lambda name, revision=None: None)
+    online.setattr("huggingface_hub.snapshot_download", odd)
+    with pytest.raises(ModelFilesError, match=f"{NAME}.*something odd.*a4 models pull {NAME}") as failed:
+        hub.fetch(NAME)
+    assert "and long" not in str(failed.value)
