@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from a4agent import metrics, rle
+from a4agent.engine.threads import ordered_map
 from a4agent.errors import DataError, require
 from a4agent.runs import published, scores
 from a4agent.runs.store import STATUSES, Record, Run, write_atomically
@@ -47,8 +48,10 @@ def render(run: Run) -> str:
     """The page as text."""
     jinja2 = require("jinja2", extra="bench")
     side = picture_side(len(run.records))
-    pictures: dict[str, str] = {}
-    samples = [_sample(run, record, side, pictures) for record in run.records.values()]
+    files_of = dict.fromkeys(name for record in run.records.values() for name in record.pictures.values())
+    embedded = ordered_map(lambda name: _embedded(run.folder / name, side), files_of)
+    pictures = {name: data for name, data in zip(files_of, embedded, strict=True) if data}
+    samples = list(ordered_map(lambda record: _sample(record, side, pictures), run.records.values()))
     page = files("a4agent.runs") / "page"
     environment: Any = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
@@ -76,7 +79,7 @@ def render(run: Run) -> str:
         stages=_stages(run.records.values()),
         cost=sum(record.cost for record in run.records.values()),
         samples=samples,
-        pictures=pictures,
+        pictures={Path(name).stem: data for name, data in pictures.items()},
     )
 
 
@@ -85,13 +88,13 @@ def picture_side(samples: int) -> int:
     return 640 if samples <= 200 else 480 if samples <= 800 else 320
 
 
-def _sample(run: Run, record: Record, side: int, pictures: dict[str, str]) -> dict[str, Any]:
-    """One sample for page.js; its pictures go to `pictures`, by name, each once."""
+def _sample(record: Record, side: int, pictures: Mapping[str, str]) -> dict[str, Any]:
+    """One sample for page.js, which knows pictures by the stem of their file."""
     row = record.row
     width, height = row["size_wh"]
     scale = min(1.0, side / max(width, height, 1))
     view = (max(1, round(width * scale)), max(1, round(height * scale)))
-    names = {kind: _embed(run.folder / name, side, pictures) for kind, name in record.pictures.items()}
+    names = {kind: Path(name).stem for kind, name in record.pictures.items() if name in pictures}
     target = row["target"] or {}
     return {
         "id": record.id,
@@ -137,22 +140,19 @@ def small_mask(mask: Mapping[str, Any], view: tuple[int, int]) -> list[int]:
     return [0, *runs] if pixels[0] else runs
 
 
-def _embed(path: Path, side: int, pictures: dict[str, str]) -> str | None:
-    """The name of a picture in the page; None if its file is gone or broken (the rest is still worth reading)."""
+def _embedded(path: Path, side: int) -> str:
+    """A picture in base64; "" if its file is gone or broken (the rest is still worth reading)."""
     from PIL import Image
 
-    name = path.stem
-    if name not in pictures:
-        try:
-            with Image.open(path) as image:
-                image.draft("RGB", (side, side))
-                image.thumbnail((side, side))
-                buffer = io.BytesIO()
-                image.convert("RGB").save(buffer, "JPEG", quality=80, optimize=True)
-        except OSError:
-            return None
-        pictures[name] = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return name
+    try:
+        with Image.open(path) as image:
+            image.draft("RGB", (side, side))
+            image.thumbnail((side, side), Image.Resampling.HAMMING)
+            buffer = io.BytesIO()
+            image.convert("RGB").save(buffer, "JPEG", quality=80)
+    except OSError:
+        return ""
+    return base64.b64encode(buffer.getvalue()).decode("ascii")
 
 
 def _published(run: Run, found: metrics.Scores) -> dict[str, Any] | None:
