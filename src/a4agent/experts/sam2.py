@@ -158,7 +158,7 @@ class SamSegmenter(LocalExpert):
                 chunk = indices[start : start + _PROMPTS_AT_ONCE]
                 low, iou = self._ask_decoder(embedding, [request.prompts[k] for k in chunk], request.image.size)
                 for k, candidates, quality in zip(chunk, low, iou, strict=True):
-                    masks[k] = logits_to_mask(candidates, height, width)
+                    masks[k] = resized_mask(candidates, height, width)
                     predicted_iou[k] = quality.cpu().numpy()
         return masks, predicted_iou
 
@@ -206,11 +206,11 @@ def _same_kind(prompts: Sequence[Prompt]) -> list[list[int]]:
     return list(kinds.values())
 
 
-def logits_to_mask(logits: Any, height: int, width: int) -> np.ndarray:
-    """Mask logits (c, h, w) as masks (c, height, width)."""
+def resized_mask(values: Any, height: int, width: int) -> np.ndarray:
+    """Values (c, h, w), positive inside, as masks (c, height, width)."""
     torch: Any = require("torch", extra="local")
     resized = torch.nn.functional.interpolate(
-        logits[None].float(), size=(height, width), mode="bilinear", align_corners=False
+        values[None].float(), size=(height, width), mode="bilinear", align_corners=False
     )
     return (resized[0] > 0).cpu().numpy()
 

@@ -19,7 +19,7 @@ from a4agent.experts.base import Detection, DetectRequest, Role
 from a4agent.experts.checkpoints import Checkpoint, find_checkpoint
 from a4agent.experts.coordinates import UNIT, to_pixels
 from a4agent.experts.local_models import LocalExpert, Placement, Stopwatch, load_pretrained, place
-from a4agent.experts.sam2 import SamSegmenter, autocast, logits_to_mask, to_square
+from a4agent.experts.sam2 import SamSegmenter, autocast, resized_mask, to_square
 
 HALF = ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
 WORDS = 32  # tokens of a phrase, padding included
@@ -143,7 +143,9 @@ class Sam3Detector(LocalExpert):
         keep = keep[scores[keep].argsort(descending=True)]
         masks = np.zeros((len(keep), height, width), bool)
         for row, instance in enumerate(keep.tolist()):
-            masks[row] = logits_to_mask(output.pred_masks[k, instance : instance + 1], height, width)[0]
+            # The checkpoint's processor resizes probabilities, not logits.
+            above_half = output.pred_masks[k, instance : instance + 1].float().sigmoid() - 0.5
+            masks[row] = resized_mask(above_half, height, width)[0]
         boxes = to_pixels(output.pred_boxes[k, keep].float().cpu().numpy(), UNIT, request.image.size)
         return Detection(
             boxes_xyxy=boxes.reshape(-1, 4).astype(np.float32),
