@@ -278,5 +278,16 @@ def test_the_example_of_a_cluster_fits() -> None:
     assert example.engine.cache_dir is not None
 
 
+def test_a_cluster_that_is_not_there_is_named(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(**_: Any) -> None:
+        raise ConnectionError("Failed to connect")
+
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    monkeypatch.setattr(ray, "init", refuse)
+    monkeypatch.setenv("RAY_ADDRESS", "node0:6379")
+    with pytest.raises(ConfigError, match="node0:6379"):
+        list(engine_ray.run(settings, [Query("a", "a.png", "open")]))
+
+
 def test_no_queries_start_no_cluster(settings: Settings) -> None:
     assert list(engine_ray.run(settings, [])) == []

@@ -15,6 +15,7 @@ and, if answers are kept, a cache folder they share. Ray is found by RAY_ADDRESS
 from __future__ import annotations
 
 import logging
+import os
 import pickle
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -116,15 +117,19 @@ def _start(ray: Any) -> bool:
     """Connect to Ray or start it; returns whether it was started here."""
     if ray.is_initialized():
         return False
-    logging.getLogger("ray.data").setLevel(logging.ERROR)
-    ray.init(include_dashboard=False, logging_level=logging.ERROR)
+    try:
+        ray.init(include_dashboard=False, logging_level=logging.ERROR)
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        where = os.environ.get("RAY_ADDRESS")
+        hint = f"is a cluster running at RAY_ADDRESS = {where!r}?" if where else "`ray start --head` says more"
+        raise ConfigError(f"Ray cannot be reached: {error}; {hint}") from error
     return True
 
 
 def _dataset(settings: Settings, rows: list[_Row], pools: dict[str, dict[str, float]]) -> Any:
     data: Any = require("ray.data", extra="ray")
-    context = data.DataContext.get_current()
-    context.enable_progress_bars = False
+    data.DataContext.get_current().enable_progress_bars = False
+    logging.getLogger("ray.data").setLevel(logging.ERROR)
     dataset = data.from_items([{"row": pickle.dumps(row)} for row in rows])
     for stage, pool in pools.items():
         dataset = dataset.map_batches(
