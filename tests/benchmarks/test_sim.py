@@ -17,6 +17,7 @@ from a4agent.benchmarks.registry import load
 from a4agent.errors import DataError
 
 N = 3
+EXAMPLES = Path(__file__).parents[2] / "examples" / "sim"
 
 
 @pytest.fixture
@@ -115,6 +116,15 @@ def test_depth_comes_in_metres_with_the_camera(set_path: Path) -> None:
     assert np.allclose(geometry.depth, 1.5)
     assert geometry.matrix.shape == (3, 3)
     assert geometry.pose.shape == (4, 4)
+
+
+def test_the_examples_are_a_set() -> None:
+    benchmark = load("sim", EXAMPLES)
+    assert [sample.truth.object_name for sample in benchmark] == ["microwave", "mug", "drawer", "hammer"]
+    for row in sim.read_rows(EXAMPLES):
+        (region,) = sim.read_regions(EXAMPLES, row)
+        depth = sim.read_geometry(EXAMPLES, row).depth[region]
+        assert 0.1 < depth.min() < depth.max() < 5
 
 
 def test_another_set_has_another_fingerprint(set_path: Path) -> None:

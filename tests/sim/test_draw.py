@@ -131,6 +131,6 @@ def test_an_empty_split_is_refused(catalogue: Catalogue) -> None:
 
 def _lift(sample: Drawn, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     depth = sample.depth[rows, columns]
-    pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))])
+    pixels = np.stack([columns, rows, np.ones(len(rows))])
     camera = np.linalg.inv(sample.camera.matrix) @ pixels * depth
     return (sample.camera.pose[:3, :3] @ camera).T + sample.camera.pose[:3, 3]

@@ -46,6 +46,7 @@ class Row(BaseModel):
     direct: bool
     choose: Literal["any", "all"]
     regions: str
+    object_mask: str
     region_numbers: list[int]
     visible_share: float = Field(ge=0, le=1)
     picture_share: float = Field(ge=0, le=1)
@@ -144,7 +145,7 @@ def cache_folder() -> Path:
 class Geometry:
     """For lifting to 3D: `depth` (H, W) float32 metres, 0 where unknown; `matrix` (3, 3); `pose` (4, 4) to the world.
 
-    In OpenCV's convention: x right, y down, z into the picture, pixels from the top left corner.
+    In the convention of OpenCV and ROS: x right, y down, z into the picture, (0, 0) the centre of the first pixel.
     """
 
     depth: np.ndarray
@@ -199,7 +200,7 @@ def _mask(root: Path, name: str) -> np.ndarray:
 def _pixels(root: Path, name: str) -> np.ndarray:
     from PIL import Image
 
-    path = files.confined(root, name)
+    path = files.confined(root.resolve(), name)
     try:
         with Image.open(path) as image:
             return np.array(image)

@@ -163,7 +163,7 @@ def _draw_props(catalogue: Catalogue, plan: Plan, rng: np.random.Generator) -> l
     others = [
         thing
         for thing in catalogue.split(plan.thing.split)
-        if not thing.in_place and thing.kind != plan.thing.kind and plan.task.direct
+        if thing.beside and not thing.in_place and thing.kind != plan.thing.kind and plan.task.direct
     ]
     if others and rng.random() < 0.4:
         props.append(others[rng.integers(len(others))])

@@ -22,8 +22,8 @@ MARGIN = 1.25
 class Camera:
     """Where the picture was taken from, in OpenCV's convention: x right, y down, z into the picture.
 
-    `matrix` (3, 3) projects camera coordinates to pixels counted from the top left corner of the kept
-    window (the middle of the first pixel is 0.5, 0.5); `pose` (4, 4) is camera to world, in metres.
+    `matrix` (3, 3) projects camera coordinates to pixels of the kept window, (0, 0) being the centre of its
+    first pixel; `pose` (4, 4) is camera to world, in metres.
     `window` is left, top, right, bottom of the kept window in the wide picture of size `wide_wh`.
     """
 
@@ -47,7 +47,8 @@ def paint(scene: Scene, rng: np.random.Generator) -> None:
         if name.startswith("stage/"):
             shade = rng.uniform(0.65, 1.0)
             model.mat_rgba[material, :3] = np.clip(shade * _tint(rng, 0.12), 0, 1)
-            model.mat_reflectance[material] = 0.0
+            if name == "stage/wall":  # a hair from clear: it would shade itself, in stripes, if it threw a shadow
+                model.mat_rgba[material, 3] = 0.99
         elif rng.random() < 0.5:
             model.mat_rgba[material, :3] = _tint(rng, 0.25) if texture else _paint_colour(rng)
         model.mat_reflectance[material] = min(model.mat_reflectance[material], 0.1)
@@ -149,7 +150,7 @@ def aim(scene: Scene, yaw: float, size: tuple[int, int], rng: np.random.Generato
     left = int(rng.integers(0, wide[0] - size[0] + 1))
     top = int(rng.integers(0, wide[1] - size[1] + 1))
     focal = wide[1] / 2 / np.tan(fovy / 2)
-    matrix = np.array([[focal, 0, wide[0] / 2 - left], [0, focal, wide[1] / 2 - top], [0, 0, 1]])
+    matrix = np.array([[focal, 0, (wide[0] - 1) / 2 - left], [0, focal, (wide[1] - 1) / 2 - top], [0, 0, 1]])
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = turn, eye
     return Camera(

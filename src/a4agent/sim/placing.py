@@ -129,7 +129,7 @@ def place_beside(
     half = (high - low)[:2] / 2
     first_low, first_high = taken[0]
     reach = (first_high - first_low).max() / 2
-    tries = 20 if half.max() < 2.5 * reach else 0
+    tries = 20 if half.max() < 1.5 * reach else 0
     for _ in range(tries):
         angle, away = rng.uniform(0, 2 * np.pi), rng.uniform(0.75, 1.7) * (reach + half.max())
         spot = (first_low + first_high) / 2 + away * np.array([np.cos(angle), np.sin(angle)])

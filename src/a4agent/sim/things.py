@@ -106,7 +106,8 @@ class Model(Declared):
 class Thing(Model):
     """Something to handle. It stands on a table of ours, or `in_place`: where it is in its own file.
 
-    Things of one `kind` (by default the name) are never in one picture. `without` names bodies of its
+    Things of one `kind` (by default the name) are never in one picture; `beside = false` keeps a large
+    thing from standing around in pictures of others. `without` names bodies of its
     file to leave out. The camera looks at the thing from `front` (degrees in the ground plane, from x
     towards y; -90 is from -y) plus or minus `spread`, from `elevation` degrees above, and sees at least
     `surroundings` metres around the thing's middle when it is not close to a part.
@@ -115,6 +116,7 @@ class Thing(Model):
     name: str
     split: Split
     kind: str = ""
+    beside: bool = True
     in_place: bool = False
     without: tuple[str, ...] = ()
     front: float = -90.0
