@@ -101,6 +101,12 @@ def test_check_returns_what_has_to_be_fetched(monkeypatch):
     assert [(need.name, need.info.gigabytes) for need in missing] == [("facebook/sam2.1-hiera-tiny", 0.16)]
 
 
+def test_the_terms_are_said_in_one_line():
+    assert models.need("facebook/sam3").terms.startswith("about 3.4 GB, SAM License, gated")
+    assert "non-commercial" in models.need("IDEA-Research/Rex-Omni").terms
+    assert models.need("owner/unknown").terms == "see the model's page"
+
+
 def test_a_stranger_can_say_what_it_needs(monkeypatch):
     def factory(model, role):
         return None

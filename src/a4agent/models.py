@@ -59,6 +59,14 @@ class Need:
     info: Model
 
     @property
+    def terms(self) -> str:
+        """What to know before fetching it: "about 3.4 GB, SAM License, gated: ..."."""
+        size = "" if self.info.gigabytes is None else f"about {self.info.gigabytes:g} GB"
+        closed = "" if self.info.commercial else "non-commercial"
+        gated = "gated: accept its licence on the model's page" if self.info.gated else ""
+        return ", ".join(filter(None, (size, self.info.licence, closed, gated, self.info.note)))
+
+    @property
     def is_folder(self) -> bool:
         """Whether it is a folder of the user's, which nobody fetches."""
         return not _NAME.fullmatch(self.name) or Path(self.name).expanduser().is_dir()

@@ -56,7 +56,8 @@ def build_agent(settings: Settings) -> A4Agent:
     from a4agent import models
     from a4agent.agent import A4Agent
 
-    models.check(settings.expert_specs())
+    for need in models.check(settings.expert_specs()):
+        messages.print(f"fetching {need.name}: {need.terms}", soft_wrap=True)
     return A4Agent.from_settings(settings)
 
 

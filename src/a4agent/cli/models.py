@@ -15,7 +15,11 @@ from a4agent.cli.common import ProfileOption, SetOption, messages
 from a4agent.errors import ModelFilesError, ResourceError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from a4agent.models import Need
+
+_NAME_WIDTH = 40
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -162,42 +166,39 @@ def _as_dict(need: Need) -> dict[str, Any]:
 def _show(needs: list[Need], *, everything: bool) -> None:
     from rich.console import Console
     from rich.markup import escape
-    from rich.table import Table
 
     console = Console(highlight=False)
     if not needs:
-        console.print("no models to download: it works with APIs or with what is installed")
+        console.print("no models to fetch: it works with APIs or with what is installed")
         return
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("")
-    table.add_column("model", no_wrap=True)
-    table.add_column("GB", justify="right")
-    table.add_column("licence")
-    table.add_column("commit" if everything else "for")
     for need in needs:
         mark = "[green]●[/]" if need.path else "[dim]○[/]"
         last = need.commit[:12] if everything else ", ".join(need.roles)
-        table.add_row(mark, escape(need.name), _gigabytes(need), escape(_terms(need)), escape(last))
-    console.print(table)
-    absent = [need for need in needs if need.path is None]
-    size = sum(need.info.gigabytes or 0 for need in absent)
+        console.print(f"{mark} {escape(need.name):{_NAME_WIDTH}} {escape(need.terms)}  [dim]{last}[/]", soft_wrap=True)
     console.print("[dim]● on this disk   ○ not yet[/]")
-    if absent and not everything:
-        console.print(
-            f"about {size:.1f} GB to fetch: [cyan]a4 models pull {' '.join(n.name for n in absent)}[/]", soft_wrap=True
-        )
+    if not everything:
+        _advise(console, needs)
+
+
+def _advise(console: Console, needs: list[Need]) -> None:
+    """The command that fetches what is missing, and the setting that pins what is here."""
+    absent = [need for need in needs if need.path is None]
+    if absent:
+        size = sum(need.info.gigabytes or 0 for need in absent)
+        names = " ".join(need.name for need in absent)
+        console.print(f"about {size:.1f} GB to fetch: [cyan]a4 models pull {names}[/]", soft_wrap=True)
     pinned = [need for need in needs if need.commit and not need.revision]
-    if pinned and not everything:
+    if pinned:
         console.print("[dim]to pin what is here, give the expert the setting revision:[/]")
-        for need in pinned:
-            console.print(f'[dim]  {escape(need.name)}  revision = "{need.commit}"[/]')
+    for need in pinned:
+        console.print(f'[dim]  {need.name}  revision = "{need.commit}"[/]', soft_wrap=True)
 
 
 def _announce(sizes: dict[Need, int]) -> None:
     for need, size in sizes.items():
         place = f" ({need.file})" if need.file else ""
-        messages.print(f"{need.name}{place}: {size / 1e9:.2f} GB, {_terms(need)}", soft_wrap=True)
-    messages.print(f"{sum(sizes.values()) / 1e9:.2f} GB in all")
+        messages.print(f"{need.name}{place}: {size / 1e9:.2f} GB; {need.terms}", soft_wrap=True)
+    messages.print(f"{sum(sizes.values()) / 1e9:.2f} GB to fetch")
 
 
 def _check_room(needed: int) -> None:
@@ -211,13 +212,3 @@ def _check_room(needed: int) -> None:
             f"{needed / 1e9:.1f} GB are needed and {free / 1e9:.1f} GB are free in {str(folder)!r}; "
             "make room, or set HF_HOME to a larger disk"
         )
-
-
-def _gigabytes(need: Need) -> str:
-    return "" if need.info.gigabytes is None else f"{need.info.gigabytes:.2f}"
-
-
-def _terms(need: Need) -> str:
-    gated = "gated: accept its licence on the model's page" if need.info.gated else ""
-    closed = "" if need.info.commercial else "non-commercial"
-    return ", ".join(filter(None, (need.info.licence, closed, gated, need.info.note)))
