@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
@@ -79,14 +79,23 @@ class Knowledge:
     objects: Mapping[str, Thing]
     object_index: Mapping[tuple[str, ...], str]
     part_index: Mapping[tuple[str, ...], str]
+    part_names: frozenset[str]
     action_index: Mapping[tuple[str, ...], tuple[str, ...]]
     theme_index: Mapping[tuple[str, ...], tuple[tuple[str, str], ...]]
     default_index: Mapping[str, tuple[str, ...]]
     wishes: tuple[Wish, ...]
 
+    def object_named(self, name: str) -> Thing | None:
+        """The object of this name or with this other name."""
+        known = self.object_index.get(tuple(words(name))) or self.object_index.get(stem(name))
+        return self.objects[known] if known else None
+
     def find_objects(self, words: Sequence[str]) -> list[Mention[Thing]]:
-        """Objects named in `words`, in order."""
-        return [Mention(self.objects[m.value], m.start, m.end) for m in find(words, self.object_index)]
+        """Objects named in `words`, in order, under the names they have there."""
+        return [
+            Mention(replace(self.objects[m.value], name=" ".join(words[m.start : m.end])), m.start, m.end)
+            for m in find(words, self.object_index)
+        ]
 
     def find_parts(self, words: Sequence[str]) -> list[Mention[str]]:
         """Parts named in `words`, as they are called there without endings."""
@@ -106,7 +115,9 @@ def knowledge() -> Knowledge:
     """The knowledge base, read once."""
     table = read_toml("a4agent.experts.offline", "knowledge.toml")
     objects = {name: _thing(name, row, table) for name, row in table["objects"].items()}
-    object_index = {stem(name): thing.name for thing in objects.values() for name in (thing.name, *thing.also)}
+    names = [(name, thing.name) for thing in objects.values() for name in (thing.name, *thing.also)]
+    # Names as they are written come before their stems: "glasses" are not "glass".
+    object_index = {stem(name): thing for name, thing in reversed(names)} | {tuple(words(n)): t for n, t in names}
     part_names = {name for thing in objects.values() for part in thing.parts for name in (part.name, *part.also)}
     actions: dict[tuple[str, ...], list[str]] = {}
     for action, verbs in table["actions"].items():
@@ -125,6 +136,7 @@ def knowledge() -> Knowledge:
         objects=objects,
         object_index=object_index,
         part_index={stem(name): name for name in sorted(part_names)},
+        part_names=frozenset(part_names),
         action_index={verb: tuple(found) for verb, found in actions.items()},
         theme_index={name: tuple(found) for name, found in themes.items()},
         default_index={action: tuple(found) for action, found in defaults.items()},
@@ -133,18 +145,23 @@ def knowledge() -> Knowledge:
 
 
 def _thing(name: str, row: Mapping[str, Any], table: Mapping[str, Any]) -> Thing:
+    """An object with its own parts first, then its family's that it does not rename."""
     family = table["families"][row["family"]] if "family" in row else {}
-    parts = {**row.get("parts", {}), **family.get("parts", {}), **row.get("parts", {})}
+    own = [_part(part, spec) for part, spec in row.get("parts", {}).items()]
+    taken = {known for part in own for known in (part.name, *part.also)}
+    shared = [_part(part, spec) for part, spec in family.get("parts", {}).items() if part not in taken]
+    shared = [replace(part, also=tuple(known for known in part.also if known not in taken)) for part in shared]
     return Thing(
         name=name,
         also=tuple(row.get("also", ())),
         layout=Layout(**table["layouts"][row.get("layout") or family.get("layout", "bottle")]),
-        parts=tuple(
-            Part(part, spec["shape"], tuple(spec["affords"]), tuple(spec.get("also", ())))
-            for part, spec in parts.items()
-        ),
+        parts=(*own, *shared),
         uses={action: tuple(names) for action, names in row.get("uses", {}).items()},
     )
+
+
+def _part(name: str, row: Mapping[str, Any]) -> Part:
+    return Part(name, row["shape"], tuple(row["affords"]), tuple(row.get("also", ())))
 
 
 def words(text: str) -> list[str]:
@@ -196,9 +213,9 @@ def find(listed: Sequence[str], index: Mapping[tuple[str, ...], T]) -> list[Ment
     start = 0
     while start < len(stems):
         for length in range(min(longest, len(stems) - start), 0, -1):
-            key = stems[start : start + length]
-            if key in index:
-                found.append(Mention(index[key], start, start + length))
+            written, key = tuple(listed[start : start + length]), stems[start : start + length]
+            if written in index or key in index:
+                found.append(Mention(index[written if written in index else key], start, start + length))
                 start += length - 1
                 break
         start += 1

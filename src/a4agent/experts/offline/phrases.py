@@ -57,8 +57,8 @@ def wanted(phrase: str) -> Wanted:
     objects = know.find_objects(said)
     spoken = re.match(r"(?:the |a |an )?(.+?) of (?:the |a |an |this |that |my )?(.+)$", " ".join(said))
     if spoken:
-        thing = know.object_index.get(stem(spoken[2]))
-        return _part(spoken[1], know.objects[thing] if thing else (objects[-1].value if objects else None))
+        thing = know.object_named(spoken[2]) or (objects[-1].value if objects else None)
+        return _part(spoken[1], thing)
     content = [word for word in said if word not in {"the", "a", "an", "this", "that", "my"}]
     if objects and objects[0].end - objects[0].start == len(content):
         return Wanted("whole", objects[0].value.layout)
@@ -66,8 +66,7 @@ def wanted(phrase: str) -> Wanted:
         return Wanted(_STEMMED[stem(content)])
     decision = understand(phrase)
     if decision.part_name and decision.object_name:
-        thing = know.objects.get(decision.object_name)
-        return _part(decision.part_name, thing)
+        return _part(decision.part_name, know.object_named(decision.object_name))
     named = next((_STEMMED[stem(word)] for word in reversed(said) if stem(word) in _STEMMED), None)
     return Wanted(named) if named else Wanted("whole")
 
@@ -75,14 +74,13 @@ def wanted(phrase: str) -> Wanted:
 def _part(name: str, thing: Thing | None) -> Wanted:
     """The shape of a part by its name, by the object's own parts first."""
     stems = stem(name)
-    if thing:
-        for part in thing.parts:
-            if stems in {stem(known) for known in (part.name, *part.also)}:
-                return Wanted(part.shape, thing.layout)
-    layout = thing.layout if thing else Layout()
-    for length in range(len(stems)):
-        if stems[length:] in _STEMMED:
-            return Wanted(_STEMMED[stems[length:]], layout)
+    layout = thing.layout if thing else DEFAULT
+    for start in range(len(stems)):  # "the left handle" is a handle
+        for part in thing.parts if thing else ():
+            if stems[start:] in {stem(known) for known in (part.name, *part.also)}:
+                return Wanted(part.shape, layout)
+        if stems[start:] in _STEMMED:
+            return Wanted(_STEMMED[stems[start:]], layout)
     return Wanted("whole", layout)
 
 

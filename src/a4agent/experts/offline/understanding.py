@@ -61,16 +61,13 @@ def understand(instruction: str) -> Decision:
     if named:
         return named
     verbs = _verbs(said, objects, know)
-    actions = [action for verb in verbs for action in verb.value]
-    if not actions and not objects:
-        return _wished(said, know) or _unknown(instruction)
     holding = bool(_HOLDING.search(meant)) or ("without" in aside and bool(_SAFELY.search(aside)))
 
     if objects:
         return _with_objects(said, objects, verbs, holding, know, instruction)
     tool = _reached_for(said, verbs, know)
     if tool is None:
-        return _wished(said, know) or _unknown(instruction)
+        return _unknown(instruction)
     thing, action = tool
     part = (thing.part_for("grasp") if holding else None) or thing.part_for(action)
     if part is None:
@@ -85,10 +82,18 @@ def _named_part(
     """ "the handle of the pan", "the pan's handle", "by its handle", "the blade"."""
     for mention in parts:
         at = [o for o in objects if o.start < mention.end and mention.start < o.end]
-        if at:
+        belongs = any(
+            said[mention.end : o.start] in (["of", "the"], ["of", "a"], ["of", "this"], ["of", "my"])
+            and o.value.part_named(mention.value)
+            for o in objects
+        )
+        if at and not belongs:
             continue  # "mug" is no part, and the "paper cup" is no cup of something
         before = said[max(0, mention.start - 2) : mention.start]
         after = said[mention.end : mention.end + 2]
+        spoken = " ".join(said[mention.start : mention.end])
+        if spoken not in know.part_names and mention.value != spoken and stem(spoken) in know.action_index:
+            continue  # "slide the window open"
         of = [
             o
             for o in objects
@@ -190,6 +195,10 @@ def _with_objects(
         if len(said) - (objects[0].end - objects[0].start) <= 2:  # "the mug": nothing to do was said
             part = thing.part_for("grasp") or thing.parts[0]
             return _because(thing, part, "grasp", f"Nothing is asked of the {thing.name} but to be taken.")
+    wish = _wished(said, verbs, know)
+    part = wish and wish[0].part_for(wish[1])
+    if wish and part:
+        return _because(wish[0], part, wish[1], f"What would help is a {wish[0].name}.")
     return _unknown(instruction)
 
 
@@ -204,13 +213,16 @@ def _does(thing: Thing, actions: tuple[str, ...]) -> bool:
 
 
 def _reached_for(said: list[str], verbs: list[Mention[tuple[str, ...]]], know: Knowledge) -> tuple[Thing, str] | None:
-    """The tool for what is to be done: by verb and theme, then by the verb alone."""
+    """The tool for what is to be done, and the action: by verb and theme, by a wish, then by the verb alone."""
     themes = know.find_themes(said)
     for verb in verbs:
         for theme in themes:
             for action, name in theme.value:
                 if action in verb.value:
                     return know.objects[name], action
+    wished = _wished(said, verbs, know)
+    if wished:
+        return wished
     for verb in verbs:
         for action in verb.value:
             for name in know.default_index.get(action, ()):
@@ -218,13 +230,14 @@ def _reached_for(said: list[str], verbs: list[Mention[tuple[str, ...]]], know: K
     return None
 
 
-def _wished(said: list[str], know: Knowledge) -> Decision | None:
-    """An instruction that only describes what is wrong: "the soup is cold"."""
+def _wished(said: list[str], verbs: list[Mention[tuple[str, ...]]], know: Knowledge) -> tuple[Thing, str] | None:
+    """What helps someone who only says what is wrong: "the soup is cold". A verb still chooses the part."""
     text = " ".join(said)
     for wish in know.wishes:
-        part = know.objects[wish.object].part_for(wish.action)
-        if part and re.search(wish.says, text):
-            return Decision(wish.object, part.name, f"What would help is a {wish.object}.", wish.action)
+        if re.search(wish.says, text):
+            thing = know.objects[wish.object]
+            asked = (action for verb in verbs for action in verb.value if action != wish.action)
+            return thing, next((action for action in asked if thing.part_for(action)), wish.action)
     return None
 
 
