@@ -103,9 +103,11 @@ class Session:
         """
         if self.sample.image is not None or self._segmenter is None:
             return
-        self.sample.image = request.images[0] if isinstance(request, ChatRequest) else request.image
-        if not isinstance(request, SegmentRequest):
-            self._segmenter.dispatcher.prepare(self.sample.image)
+        images = request.images[:1] if isinstance(request, ChatRequest) else (request.image,)
+        for image in images:
+            self.sample.image = image
+            if not isinstance(request, SegmentRequest):
+                self._segmenter.dispatcher.prepare(image)
 
     def _forget_chats(self) -> None:
         """Of a sample that came to nothing because of what a model said, keep no saying: the next run may do better."""

@@ -59,6 +59,7 @@ class Stats:
         self.experts: dict[str, ExpertStats] = {}
         self.samples: Counter[str] = Counter()
         self._started = time.monotonic()
+        self._lock = threading.Lock()
 
     @property
     def asked(self) -> int:
@@ -85,7 +86,8 @@ class Stats:
         return self.experts.setdefault(f"{role} {id}", ExpertStats(role, id))
 
     def count_sample(self, affordance: Affordance) -> None:
-        self.samples[affordance.status] += 1
+        with self._lock:
+            self.samples[affordance.status] += 1
 
     def count_trace(self, trace: Trace) -> None:
         """Count the calls of a sample that was answered elsewhere."""
