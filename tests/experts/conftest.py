@@ -14,6 +14,7 @@ from PIL import Image
 
 def _torch_ready() -> None:
     torch = pytest.importorskip("torch")
+    torch.set_num_threads(1)  # threads cost more than they bring for models this small
     if importlib.util.find_spec("torchvision") is not None:
         _declare_torchvision_operators(torch)
     logging = pytest.importorskip("transformers.utils.logging")

@@ -206,13 +206,13 @@ def _same_kind(prompts: Sequence[Prompt]) -> list[list[int]]:
     return list(kinds.values())
 
 
-def resized_mask(values: Any, height: int, width: int) -> np.ndarray:
-    """Values (c, h, w), positive inside, as masks (c, height, width)."""
+def resized_mask(values: Any, height: int, width: int, above: float = 0.0) -> np.ndarray:
+    """Masks (c, height, width) of where values (c, h, w), resized, are above a limit."""
     torch: Any = require("torch", extra="local")
     resized = torch.nn.functional.interpolate(
         values[None].float(), size=(height, width), mode="bilinear", align_corners=False
     )
-    return (resized[0] > 0).cpu().numpy()
+    return (resized[0] > above).cpu().numpy()
 
 
 def autocast(placement: Placement) -> Any:

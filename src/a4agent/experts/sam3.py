@@ -144,8 +144,8 @@ class Sam3Detector(LocalExpert):
         masks = np.zeros((len(keep), height, width), bool)
         for row, instance in enumerate(keep.tolist()):
             # The checkpoint's processor resizes probabilities, not logits.
-            above_half = output.pred_masks[k, instance : instance + 1].float().sigmoid() - 0.5
-            masks[row] = resized_mask(above_half, height, width)[0]
+            probability = output.pred_masks[k, instance : instance + 1].float().sigmoid()
+            masks[row] = resized_mask(probability, height, width, above=0.5)[0]
         boxes = to_pixels(output.pred_boxes[k, keep].float().cpu().numpy(), UNIT, request.image.size)
         return Detection(
             boxes_xyxy=boxes.reshape(-1, 4).astype(np.float32),
