@@ -87,7 +87,7 @@ class Visit:
             for name, value in follow(agent, picture, instruction):
                 progress = progress.after(name, value, time.monotonic() - started)
                 if name != "affordance":
-                    yield _update("", progress)
+                    yield _update("", progress, redraw=name not in ("step", "imagination"))
             assert progress.affordance is not None
             yield from _finished(progress, progress.affordance)
         except A4Error as error:
@@ -148,7 +148,7 @@ def _sentence(words: str) -> str:
     return words[:1].upper() + words[1:] + ("" if words.endswith((".", "!", "?")) else ".")
 
 
-def _update(message: str, progress: Progress | None, files: list[str] | None = None) -> Update:
+def _update(message: str, progress: Progress | None, files: list[str] | None = None, *, redraw: bool = True) -> Update:
     import gradio as gr
 
     affordance = progress.affordance if progress else None
@@ -156,7 +156,7 @@ def _update(message: str, progress: Progress | None, files: list[str] | None = N
     downloads = [gr.update(value=path, visible=True) for path in files or []] or [gr.update(visible=False)] * len(FILES)
     return (
         message,
-        cards.picture(progress),
+        cards.picture(progress) if redraw else gr.skip(),
         gr.update(visible=masked),
         cards.stages(progress),
         cards.timings(affordance),

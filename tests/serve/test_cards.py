@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+import base64
+import html
+import io
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from a4agent import overlay
+from a4agent.affordance import Affordance, Imagination, Region, Step, Target, Trace
+from a4agent.experts.base import Detection
+from a4agent.serve import cards
+from a4agent.serve.cards import Progress
+
+PHOTO = Image.new("RGB", (80, 60), (90, 120, 150))
+TARGET = Target("open", "drawer", "the handle of the drawer", "It is there to be pulled.")
+FOUND = Detection(np.array([[20, 10, 50, 30]], np.float32), np.array([[35, 20]], np.float32))
+
+
+def answer(status: str = "ok", **changes: object) -> Affordance:
+    mask = np.zeros((60, 80), bool)
+    mask[10:30, 20:50] = status == "ok"
+    region = Region(FOUND.boxes_xyxy[0], FOUND.points_xy, mask, 0.9)
+    return replace(
+        Affordance("open", (80, 60), target=TARGET, regions=(region,), status="ok"), status=status, **changes
+    )  # type: ignore[arg-type]
+
+
+def states(page: str) -> list[str]:
+    return re.findall(r'class="a4-card" data-state="(\w+)"', page)
+
+
+def test_the_stages_fill_in_one_after_the_other() -> None:
+    progress = Progress(PHOTO, "open", dreams=True, thinks=True)
+    assert states(cards.stages(None)) == ["waiting"] * 3
+    assert states(cards.stages(progress)) == ["working", "waiting", "waiting"]
+    progress = progress.after("step", (12, 30), 1.0)
+    assert "12 of 30" in cards.stages(progress)
+    progress = progress.after("imagination", Imagination("a hand pulls", PHOTO), 2.0)
+    assert states(cards.stages(progress)) == ["done", "working", "waiting"]
+    assert "a hand pulls" in cards.stages(progress)
+    progress = progress.after("target", TARGET, 3.5)
+    assert states(cards.stages(progress)) == ["done", "done", "working"]
+    assert "<time>1.5 s</time>" in cards.stages(progress)
+    progress = progress.after("detection", FOUND, 4.0)
+    assert "1 box, 1 point; cutting out the mask" in cards.stages(progress)
+    progress = progress.after("affordance", answer(), 5.0)
+    assert states(cards.stages(progress)) == ["done"] * 3
+    assert "a mask of 12.5 % of the photo" in cards.stages(progress)
+
+
+def test_stages_that_a_profile_lacks_or_that_were_never_reached_are_off() -> None:
+    bare = Progress(PHOTO, "the knob", dreams=False, thinks=False)
+    assert states(cards.stages(bare)) == ["off", "off", "working"]
+    failed = Progress(PHOTO, "open", dreams=True, thinks=True).after("affordance", answer("error", regions=()), 1.0)
+    assert states(cards.stages(failed)) == ["off", "waiting", "waiting"]
+
+
+def layers(page: str) -> list[Image.Image]:
+    return [Image.open(io.BytesIO(base64.b64decode(data))) for data in re.findall(r"base64,([^\"]+)", page)]
+
+
+def test_fading_the_tint_is_drawing_with_that_opacity() -> None:
+    progress = Progress(PHOTO, "open", True, True).after("affordance", answer(), 1.0)
+    plain, tint = (np.asarray(layer, float) for layer in layers(cards.picture(progress)))
+    expected = np.asarray(overlay.draw(PHOTO, answer(), opacity=0.4, caption=False), float)
+    assert np.abs(0.6 * plain + 0.4 * tint - expected).mean() < 3  # JPEG, and the outline's anti-aliasing
+
+
+def test_boxes_are_shown_before_the_mask_and_without_a_tint() -> None:
+    progress = Progress(PHOTO, "open", True, True)
+    before = cards.picture(progress)
+    after = cards.picture(progress.after("detection", FOUND, 1.0))
+    assert len(layers(before)) == len(layers(after)) == 1
+    assert layers(before)[0].tobytes() != layers(after)[0].tobytes()
+    assert 'data-state="working"' in after
+
+
+@given(st.text())
+def test_text_reads_the_same_and_is_no_markup_or_template(words: str) -> None:
+    safe = cards.text(words)
+    assert html.unescape(safe) == words
+    assert not set(safe) & set("<>\"'{}$`")
+
+
+def test_no_text_of_a_model_or_a_person_reaches_the_page_as_it_is() -> None:
+    def page(words: str) -> str:
+        hostile = Target(words, words, words, words)
+        affordance = answer(target=hostile, error=words, trace=Trace((Step("thinker", "vlm", words, error=words),)))
+        progress = Progress(PHOTO, words, True, True).after("imagination", Imagination(words, None), 1.0)
+        progress = progress.after("target", hostile, 1.0).after("affordance", affordance, 2.0)
+        parts = (cards.stages(progress), cards.picture(progress), cards.timings(affordance))
+        return "".join(parts) + cards.message(words, "note") + cards.profile_rows([(words, words, [(words, words)])])
+
+    hostile, harmless = page('<img src=x>"{{value}}${1}`'), page("words")
+    assert re.findall(r"<[^>]*?[ >]", hostile) == re.findall(r"<[^>]*?[ >]", harmless)
+    for template in ("{", "}", "`", "<img src=x"):
+        assert template not in hostile
+
+
+def test_timings_count_only_costs_that_are_known() -> None:
+    steps = (
+        Step("thinker", "vlm", "m", 1.25, cost=0.0125, tokens_in=10, tokens_out=5),
+        Step("spotter", "detector", "d", 0.5),
+    )
+    page = cards.timings(answer(trace=Trace(steps)))
+    assert "1.8 s in 2 model calls, $0.0125" in page
+    assert "10 + 5" in page
+    assert "$" not in cards.timings(answer(trace=Trace(steps[1:])))
+    assert cards.timings(answer()) == ""
+
+
+@pytest.mark.parametrize("missing", [[], [("a key", "export KEY=...")]])
+def test_a_profile_that_does_not_work_here_cannot_be_chosen(missing: list[tuple[str, str]]) -> None:
+    page = cards.profile_rows([("paper", "the paper's models", missing)])
+    assert ("disabled" in page) == bool(missing)
+    assert ("export KEY" in page) == bool(missing)

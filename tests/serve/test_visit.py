@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+
+from a4agent.agent import A4Agent
+from a4agent.availability import Missing
+from a4agent.errors import CredentialError, UnreadableAnswer
+from a4agent.experts.base import Detection
+from a4agent.serve.visit import LoadedAgent, Visit
+from a4agent.spotter import Spotter
+from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, scripted_agent
+from a4agent.thinker import Thinker
+
+pytest.importorskip("gradio", reason="needs the extra app")
+
+
+@pytest.fixture
+def photo(tmp_path: Path) -> str:
+    Image.new("RGB", (80, 60), "grey").save(tmp_path / "photo.png")
+    return str(tmp_path / "photo.png")
+
+
+def nothing_missing(profile: str) -> list[Missing]:
+    return []
+
+
+def visit(agent: A4Agent | Callable[[str], A4Agent]) -> Visit:
+    load = agent if callable(agent) else lambda profile: agent
+    return Visit(LoadedAgent(load), nothing_missing)
+
+
+def last(updates: Any) -> tuple[Any, ...]:
+    *_, final = updates
+    return final
+
+
+def test_the_answer_comes_with_its_files_while_they_are_there(photo: str) -> None:
+    updates = visit(scripted_agent(dream=True)).run(photo, "open it", "offline", True)
+    for update in updates:
+        message, picture, slider, _, timings, *files = update
+        if files[0].get("value"):
+            affordance = json.loads(Path(files[0]["value"]).read_text(encoding="utf-8"))
+    assert affordance["status"] == "ok"
+    assert "a4-tint" in picture
+    assert slider["visible"]
+    assert "5 model calls" in timings
+    assert "a4-error" not in message
+    assert not Path(files[0]["value"]).exists()
+
+
+def test_without_the_dreamer_nothing_is_imagined(photo: str) -> None:
+    agent = scripted_agent(dream=True)
+    final = last(visit(agent).run(photo, "open it", "offline", False))
+    assert "Not asked" in final[3]
+    assert agent.dreamer
+    assert not agent.dreamer.editor.requests  # type: ignore[attr-defined]
+
+
+def agent_that(answer: Any, detection: Any = None) -> A4Agent:
+    vlm = ScriptedVLM(lambda request: answer)
+    return A4Agent(None, Thinker(vlm), Spotter(ScriptedDetector(detection), ScriptedSegmenter()))
+
+
+def test_each_way_to_fail_is_a_sentence(photo: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    def message(visited: Visit, image: str | None = photo, words: str = "open it") -> str:
+        return last(visited.run(image, words, "offline", True))[0]
+
+    good = scripted_agent()
+    assert "Add a photo first" in message(visit(good), None)
+    assert "Say what you want to do" in message(visit(good), photo, " ")
+    (tmp_path / "no.png").write_bytes(b"no")
+    assert "This photo cannot be used" in message(visit(good), str(tmp_path / "no.png"))
+    refused = message(visit(agent_that(UnreadableAnswer("it wrote a poem"))))
+    assert "could not be used: It wrote a poem." in refused or "could not be used: it wrote a poem." in refused
+    assert "Set OPENAI_API_KEY." in message(visit(agent_that(CredentialError("set OPENAI_API_KEY"))))
+    nothing = A4Agent(None, None, Spotter(ScriptedDetector(lambda request: Detection()), ScriptedSegmenter()))
+    assert "Nothing in this photo was recognised as “open it”" in message(visit(nothing))
+
+    def broken(profile: str) -> A4Agent:
+        raise ZeroDivisionError("a bug")
+
+    assert "Something went wrong" in message(visit(broken))
+    assert "ZeroDivisionError" in caplog.text
+
+    missing = Visit(LoadedAgent(lambda profile: good), lambda profile: [Missing("a GPU", "buy one")])
+    assert "needs a GPU: buy one" in message(missing)
+
+
+def test_models_are_loaded_once_and_those_of_another_profile_take_their_place() -> None:
+    made: list[A4Agent] = []
+
+    def load(profile: str) -> A4Agent:
+        if profile == "broken":
+            raise CredentialError("no key")
+        made.append(scripted_agent())
+        return made[-1]
+
+    loaded = LoadedAgent(load)
+    first = loaded.get("a")
+    assert loaded.get("a") is first
+    second = loaded.get("b")
+    assert second is not first
+    assert all(expert.closed for expert in first.experts())  # type: ignore[attr-defined]
+    with pytest.raises(CredentialError):
+        loaded.get("broken")
+    assert loaded.get("b") is not second
+    assert len(made) == 3
+    loaded.close()
+    loaded.close()
+
+
+def test_what_the_page_says_of_a_profile() -> None:
+    visited = visit(scripted_agent())
+    assert visited.dreams("paper")
+    assert not visited.dreams("offline")
+    assert "GPT-4o" in visited.summary("paper")
+    assert visited.summary("no-such-profile") == "its settings cannot be read"
