@@ -153,9 +153,40 @@ def test_writing_atomically_keeps_the_old_content_on_failure(tmp_path: Path, mon
         raise OSError("no space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="no space"):
+    with pytest.raises(DataError, match=r"scores\.json.*no space"):
         write_atomically(path, b"new")
     assert path.read_bytes() == b"old"
+    assert [path.name for path in tmp_path.iterdir()] == ["scores.json"]
+
+
+def test_a_full_disk_stops_the_run_and_costs_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written, write = [], os.write
+
+    def nearly_full(file: int, data: bytes) -> int:
+        if file == run._file:  # pyright: ignore[reportPrivateUsage]
+            written.append(len(data))
+            if len(written) == 2:
+                return write(file, data[:20])
+            if len(written) == 3:
+                raise OSError("no space left on device")
+        return write(file, data)
+
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        monkeypatch.setattr(os, "write", nearly_full)
+        run.add(row("a"))
+        with pytest.raises(DataError, match=r"samples\.jsonl.*no space"):
+            run.add(row("b"))
+        monkeypatch.undo()
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        assert [run.wants(id) for id in ("a", "b")] == [False, True]
+        run.add(row("b"))
+    assert list(read_run(tmp_path / "run").records) == ["a", "b"]
+
+
+def test_a_folder_that_cannot_be_made_says_so(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DataError, match="cannot be made"), RunWriter(tmp_path / "file" / "run", manifest()):
+        pass
 
 
 def test_differences_are_named_by_their_place() -> None:

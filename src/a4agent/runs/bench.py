@@ -17,6 +17,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from a4agent import engine, metrics, rle
 from a4agent.affordance import Affordance, Given, Query, Status
 from a4agent.agent import A4Agent
@@ -169,11 +171,12 @@ class Session:
             progress.asked += 1
             progress.cost += affordance.trace.cost
             try:
-                row = row_of(sample, affordance, writer)
+                truths = (sample.truth.mask(), *sample.truth.alternatives())
             except UserError as error:
                 progress.unscored[sample.id] = str(error)
                 yield None
                 continue
+            row = row_of(sample, affordance, truths, writer)
             if sample.id in writer.records:
                 progress.count(writer.records[sample.id].scored, self._protocol, -1)
             record = writer.add(row)
@@ -212,13 +215,11 @@ class Session:
             yield in_flight.pop(query.id), affordance
 
 
-def row_of(sample: Sample, affordance: Affordance, writer: RunWriter) -> dict[str, Any]:
+def row_of(sample: Sample, affordance: Affordance, truths: tuple[np.ndarray, ...], writer: RunWriter) -> dict[str, Any]:
     """The line of samples.jsonl: the answer, what it scored, and the names of its pictures, which are written.
 
-    Raises:
-        DataError: the truth cannot be read.
+    `truths` are masks (H, W) of bool that are equally right.
     """
-    truths = (sample.truth.mask(), *sample.truth.alternatives())
     row = metrics.measure(affordance.mask, truths[0], affordance.status, truths[1:])
     counted = next(t for t in truths if metrics.measure(affordance.mask, t, affordance.status)[:2] == row[:2])
     imagined = affordance.imagination.image if affordance.imagination else None

@@ -39,7 +39,6 @@ def write_report(run: Run, path: Path | None = None) -> Path:
     if not run.records:
         raise DataError(f"{str(run.folder)!r} has no samples yet; start it again with `a4 bench`")
     path = path or run.folder / "report.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, render(run).encode("utf-8", "replace"))
     return path
 
@@ -65,6 +64,7 @@ def render(run: Run) -> str:
         run=run,
         identity=run.manifest.identity,
         about=run.manifest.about,
+        data_name=Path(str(run.manifest.about.get("data", ""))).name,
         sessions=run.manifest.sessions,
         manifest=json.dumps({**run.manifest.identity, "about": run.manifest.about}, indent=2, ensure_ascii=False),
         scores=found,

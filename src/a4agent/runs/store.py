@@ -212,7 +212,10 @@ class RunWriter:
         path = self.folder / "manifest.json"
         if not path.exists() and self.folder.is_dir() and _foreign(self.folder):
             raise DataError(f"{str(self.folder)!r} holds other files and no run; choose another folder with --out")
-        self.folder.mkdir(parents=True, exist_ok=True)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise DataError(f"{str(self.folder)!r} cannot be made: {error}") from error
         with ExitStack() as held:
             held.enter_context(hold(self.folder / "lock"))
             if path.exists():
@@ -245,9 +248,12 @@ class RunWriter:
         record = Record({key: row[key] for key in SCORED if key in row})
         line = json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
         view = memoryview(line.encode("utf-8", "surrogatepass") + b"\n")
-        while view:
-            view = view[os.write(self._file, view) :]
-        os.fsync(self._file)
+        try:
+            while view:
+                view = view[os.write(self._file, view) :]
+            os.fsync(self._file)
+        except OSError as error:
+            raise DataError(f"{str(self.folder / 'samples.jsonl')!r} cannot be written: {error}") from error
         self.records[record.id] = record
         self._pending_retry.discard(record.id)
         return record
@@ -265,7 +271,6 @@ class RunWriter:
             small.thumbnail((PICTURE_SIDE, PICTURE_SIDE), Images.Resampling.LANCZOS, reducing_gap=2.0)
             buffer = io.BytesIO()
             small.save(buffer, "JPEG", quality=85)
-            path.parent.mkdir(exist_ok=True)
             write_atomically(path, buffer.getvalue())
         return name
 
@@ -282,13 +287,22 @@ class RunWriter:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Replace `path` as a whole: a reader sees the old content or the new one."""
+    """Replace `path` as a whole: a reader sees the old content or the new one.
+
+    Raises:
+        DataError: it cannot be written.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with temporary.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise DataError(f"{str(path)!r} cannot be written: {error}") from error
 
 
 def _repair(path: Path) -> None:
