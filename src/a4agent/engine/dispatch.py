@@ -164,7 +164,6 @@ class Dispatcher:
                 if call.replaced:
                     return
                 self._calls.discard(call)
-                self._wake()
             del call
 
     def _take(self) -> _Call | None:
