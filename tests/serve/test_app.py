@@ -18,6 +18,7 @@ from PIL import Image
 from a4agent.affordance import Affordance
 from a4agent.agent import A4Agent
 from a4agent.availability import Missing
+from a4agent.config import Settings, load_settings
 from a4agent.serve import run
 from a4agent.serve.app import EXAMPLES, HERE, create_page
 from a4agent.testing import scripted_agent
@@ -41,15 +42,15 @@ pytestmark = [
 ]
 
 
-def check(profile: str) -> list[Missing]:
-    here = profile in ("offline", "paper", "small")
+def check(settings: Settings) -> list[Missing]:
+    here = settings.name in ("offline", "paper", "small")
     return [] if here else [Missing("a key for its models", "export OPENAI_API_KEY=...")]
 
 
-def load(profile: str) -> A4Agent:
-    if profile == "offline":
-        return A4Agent.from_profile("offline")
-    if profile == "paper":
+def load(settings: Settings) -> A4Agent:
+    if settings.name == "offline":
+        return A4Agent.from_settings(settings)
+    if settings.name == "paper":
         return scripted_agent("the handle of the mug", dream=True, seconds=0.5)
     return scripted_agent(HOSTILE)
 
@@ -57,7 +58,7 @@ def load(profile: str) -> A4Agent:
 @pytest.fixture(scope="module")
 def url() -> Iterator[str]:
     pytest.importorskip("gradio", reason="needs the extra app")
-    with run.in_thread(create_page(load, check=check)) as url:
+    with run.in_thread(create_page(load_settings, load=load, check=check)) as url:
         yield url
 
 

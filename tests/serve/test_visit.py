@@ -10,9 +10,11 @@ from PIL import Image
 
 from a4agent.agent import A4Agent
 from a4agent.availability import Missing
+from a4agent.config import Settings, load_settings
 from a4agent.errors import CredentialError, UnreadableAnswer
 from a4agent.experts.base import Detection
-from a4agent.serve.visit import LoadedAgent, Visit
+from a4agent.serve.profiles import Profiles
+from a4agent.serve.visit import Visit
 from a4agent.spotter import Spotter
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, scripted_agent
 from a4agent.thinker import Thinker
@@ -26,13 +28,9 @@ def photo(tmp_path: Path) -> str:
     return str(tmp_path / "photo.png")
 
 
-def nothing_missing(profile: str) -> list[Missing]:
-    return []
-
-
-def visit(agent: A4Agent | Callable[[str], A4Agent]) -> Visit:
-    load = agent if callable(agent) else lambda profile: agent
-    return Visit(LoadedAgent(load), nothing_missing)
+def visit(agent: A4Agent | Callable[[Settings], A4Agent], missing: tuple[Missing, ...] = ()) -> Visit:
+    load = agent if callable(agent) else lambda settings: agent
+    return Visit(Profiles(load_settings, load, lambda settings: missing))
 
 
 def last(updates: Any) -> tuple[Any, ...]:
@@ -82,42 +80,10 @@ def test_each_way_to_fail_is_a_sentence(photo: str, tmp_path: Path, caplog: pyte
     nothing = A4Agent(None, None, Spotter(ScriptedDetector(lambda request: Detection()), ScriptedSegmenter()))
     assert "Nothing in this photo was recognised as “open it”" in message(visit(nothing))
 
-    def broken(profile: str) -> A4Agent:
+    def broken(settings: Settings) -> A4Agent:
         raise ZeroDivisionError("a bug")
 
     assert "Something went wrong" in message(visit(broken))
     assert "ZeroDivisionError" in caplog.text
 
-    missing = Visit(LoadedAgent(lambda profile: good), lambda profile: [Missing("a GPU", "buy one")])
-    assert "needs a GPU: buy one" in message(missing)
-
-
-def test_models_are_loaded_once_and_those_of_another_profile_take_their_place() -> None:
-    made: list[A4Agent] = []
-
-    def load(profile: str) -> A4Agent:
-        if profile == "broken":
-            raise CredentialError("no key")
-        made.append(scripted_agent())
-        return made[-1]
-
-    loaded = LoadedAgent(load)
-    first = loaded.get("a")
-    assert loaded.get("a") is first
-    second = loaded.get("b")
-    assert second is not first
-    assert all(expert.closed for expert in first.experts())  # type: ignore[attr-defined]
-    with pytest.raises(CredentialError):
-        loaded.get("broken")
-    assert loaded.get("b") is not second
-    assert len(made) == 3
-    loaded.close()
-    loaded.close()
-
-
-def test_what_the_page_says_of_a_profile() -> None:
-    visited = visit(scripted_agent())
-    assert visited.dreams("paper")
-    assert not visited.dreams("offline")
-    assert "GPT-4o" in visited.summary("paper")
-    assert visited.summary("no-such-profile") == "its settings cannot be read"
+    assert "needs a GPU: buy one" in message(visit(good, (Missing("a GPU", "buy one"),)))

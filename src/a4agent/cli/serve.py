@@ -31,6 +31,9 @@ def serve(
     queue: Annotated[int, typer.Option(min=0, help="How many requests may wait.")] = 16,
     seconds: Annotated[float, typer.Option(min=0.1, help="The longest time to an answer.")] = 300.0,
     batch: Annotated[int, typer.Option(min=1, help="The most samples of a batch.")] = 16,
+    warm_up: Annotated[
+        bool, typer.Option(help="Load the models with one prediction before the first request.")
+    ] = False,
     sets: common.SetOption = None,
 ) -> None:
     """Serve affordances over HTTP.
@@ -40,15 +43,20 @@ def serve(
     for module in ("fastapi", "uvicorn", "python_multipart", "prometheus_client"):
         require(module, extra="serve")
     from a4agent.agent import A4Agent
+    from a4agent.availability import check_settings
     from a4agent.serve import auth, run
     from a4agent.serve.api import create_app
     from a4agent.serve.limits import Limits
 
     token = auth.read_token(host, token_file)
     settings = common.settings(profile, sets)
+    for missing in check_settings(settings):
+        raise ConfigError(f"the profile {settings.name!r} needs {missing.what}: {missing.fix}")
     limits = Limits(max_bytes, max_pixels, queue, seconds, batch=batch)
     listening = run.bind(host, port)
     agent = A4Agent.from_settings(settings)
+    if warm_up:
+        _warm_up(agent)
     app = create_app(_agents(agent, workers), profile=settings.name, limits=limits, token=token)
     guarded = "with a token" if token else "for this machine only"
     common.messages.print(f"serving the profile {settings.name!r} at {run.url_of(listening)} {guarded}; Ctrl+C ends")
@@ -63,3 +71,13 @@ def _agents(agent: A4Agent, workers: int) -> list[A4Agent]:
             " start one server a GPU (CUDA_VISIBLE_DEVICES=0 a4 serve --port 8000, ...)"
         )
     return [agent] * workers
+
+
+def _warm_up(agent: A4Agent) -> None:
+    """Make every stage load what it needs, and say so if one cannot."""
+    from PIL import Image
+
+    common.messages.print("loading the models …")
+    answer = agent.predict(Image.new("RGB", (640, 480), "grey"), "open the drawer")
+    if answer.status == "error":
+        common.warn(f"the first prediction failed: {answer.error}")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from a4agent.cli import common
 from a4agent.errors import require
+
+if TYPE_CHECKING:
+    from a4agent.config import Settings
 
 
 def app(
@@ -24,18 +27,17 @@ def app(
     Beyond loopback, visitors log in as a4 with the token of A4_SERVER_TOKEN as password.
     """
     require("gradio", extra="app")
-    from a4agent.agent import A4Agent
     from a4agent.serve import auth, run
     from a4agent.serve.app import create_page
 
     token = auth.read_token(host)
     first = common.settings(profile, sets)
 
-    def load(name: str) -> A4Agent:
-        return A4Agent.from_settings(first if name == first.name else common.settings(name, sets))
+    def settings(name: str) -> Settings:
+        return first if name == first.name else common.settings(name)
 
     listening = run.bind(host, port)
-    page = create_page(load, profile=first.name, auth=("a4", token) if token else None)
+    page = create_page(settings, profile=first.name, auth=("a4", token) if token else None)
     url = run.url_of(listening)
     common.messages.print(f"the page is at {url}; Ctrl+C ends")
     if browser:

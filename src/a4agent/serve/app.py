@@ -1,6 +1,6 @@
 """The web page: drop a photo, say what to do, and watch the three stages answer.
 
-    page = create_page(load=A4Agent.from_profile, profile="offline")
+    page = create_page(load_settings, profile="offline")
 
 Built with gradio. The predictions of all visitors are one queue, one at a time; nothing is loaded from elsewhere.
 """
@@ -18,11 +18,12 @@ from starlette.middleware import Middleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from a4agent.agent import A4Agent
-from a4agent.availability import Missing, check_profile
-from a4agent.config import profile_names
+from a4agent.availability import Missing, check_settings
+from a4agent.config import Settings, profile_names
 from a4agent.errors import require
 from a4agent.serve import cards
-from a4agent.serve.visit import LoadedAgent, Visit
+from a4agent.serve.profiles import Profiles
+from a4agent.serve.visit import Visit
 
 os.environ.setdefault("GRADIO_ANALYTICS_ENABLED", "False")
 
@@ -60,26 +61,32 @@ FADE = "opacity => { document.documentElement.style.setProperty('--a4-opacity', 
 
 
 def create_page(
-    load: Callable[[str], A4Agent],
+    settings: Callable[[str], Settings],
     *,
     profile: str = "offline",
-    check: Callable[[str], Sequence[Missing]] = check_profile,
+    load: Callable[[Settings], A4Agent] = A4Agent.from_settings,
+    check: Callable[[Settings], Sequence[Missing]] = check_settings,
     auth: tuple[str, str] | None = None,
 ) -> FastAPI:
-    """The application. `load` makes the agent of a profile, which is kept; `profile` is the one chosen at first.
+    """The application.
 
-    `check` says what is missing for a profile; `auth` is a user name and password that the page asks for.
+    Args:
+        settings: the settings of a profile by its name; an A4Error makes the profile one that cannot be chosen.
+        profile: the one chosen at first; the others are those that come with the package.
+        load: makes the agent of settings. It is kept until another profile is asked for.
+        check: what is missing for settings on this machine.
+        auth: a user name and password that the page asks for.
 
     Raises:
         MissingExtraError: gradio is not installed.
     """
     gr = require("gradio", extra="app")
-    loaded = LoadedAgent(load)
+    profiles = Profiles(settings, load, check)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
         yield
-        loaded.close()
+        profiles.close()
 
     app = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, middleware=[Middleware(_Policy)])
     theme = gr.themes.Base(
@@ -87,7 +94,7 @@ def create_page(
     )
     return gr.mount_gradio_app(
         app,
-        _blocks(gr, Visit(loaded, check), profile, check),
+        _blocks(gr, profiles, profile),
         path="/",
         auth=auth,
         theme=theme,
@@ -99,10 +106,10 @@ def create_page(
     )
 
 
-def _blocks(gr: Any, visit: Visit, profile: str, check: Callable[[str], Sequence[Missing]]) -> Any:
+def _blocks(gr: Any, profiles: Profiles, profile: str) -> Any:
     """The layout, and what happens when."""
     names = sorted({*profile_names(), profile}, key=lambda name: (name != profile, name))
-    rows = [(name, visit.summary(name), [(m.what, m.fix) for m in check(name)]) for name in names]
+    rows = [(name, profiles.summary(name), [(m.what, m.fix) for m in profiles.missing(name)]) for name in names]
     with gr.Blocks(title="a4agent: where do I act?", analytics_enabled=False, delete_cache=(600, 3600)) as blocks:
         gr.HTML(HEAD)
         with gr.Row(elem_classes="a4-columns"):
@@ -129,7 +136,7 @@ def _blocks(gr: Any, visit: Visit, profile: str, check: Callable[[str], Sequence
                 dream = gr.Checkbox(
                     value=True,
                     label="Imagine the action first (the Dreamer)",
-                    visible=visit.dreams(profile),
+                    visible=profiles.dreams(profile),
                     elem_id="dream",
                 )
             with gr.Column(scale=7, min_width=360):
@@ -148,10 +155,10 @@ def _blocks(gr: Any, visit: Visit, profile: str, check: Callable[[str], Sequence
                         )
                     ]
         opacity.input(None, [opacity], None, js=FADE)
-        chosen.change(lambda name: gr.update(visible=visit.dreams(name), value=True), [chosen], [dream], queue=False)
+        chosen.change(lambda name: gr.update(visible=profiles.dreams(name), value=True), [chosen], [dream], queue=False)
         gr.on(
             [run.click, instruction.submit],
-            visit.run,
+            Visit(profiles).run,
             [photo, instruction, chosen, dream],
             [message, picture, opacity, stages, timings, *files],
             concurrency_id=ONE_AT_A_TIME,

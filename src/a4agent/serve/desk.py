@@ -104,8 +104,6 @@ class Desk:
             async with aclosing(self._events(work)) as events:
                 async for name, data in events:
                     yield b": still working\n\n" if name == "" else wire.event(name, data)
-        except Refused as refused:
-            yield wire.event("error", {**refused.body, "code": refused.code, "retry_after": refused.retry_after})
         except Exception as error:
             refused = blame(error)
             yield wire.event("error", {**refused.body, "code": refused.code, "retry_after": refused.retry_after})

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import logging
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from a4agent.affordance import Affordance
-from a4agent.agent import A4Agent
-from a4agent.availability import Missing
-from a4agent.config import Settings, load_settings
 from a4agent.errors import A4Error, InputError
 from a4agent.images import load_image
 from a4agent.saving import save
 from a4agent.serve import cards
 from a4agent.serve.cards import Progress
 from a4agent.serve.follow import follow
+from a4agent.serve.profiles import Profiles
 
 log = logging.getLogger(__name__)
 
@@ -30,55 +27,21 @@ Update = tuple[Any, ...]
 """Message, picture, slider, stages, timings and the three files, as the page's components take them."""
 
 
-class LoadedAgent:
-    """Keeps the agent of the profile that was used last; another profile's takes its place in memory."""
-
-    def __init__(self, load: Callable[[str], A4Agent]) -> None:
-        self._load = load
-        self._lock = threading.Lock()
-        self._profile = ""
-        self._agent: A4Agent | None = None
-
-    def get(self, profile: str) -> A4Agent:
-        """The agent of a profile.
-
-        Raises:
-            A4Error: it cannot be loaded; the next call tries again.
-        """
-        with self._lock:
-            if self._agent is None or profile != self._profile:
-                self._close()
-                self._agent = self._load(profile)
-                self._profile = profile
-            return self._agent
-
-    def close(self) -> None:
-        """Let go of it."""
-        with self._lock:
-            self._close()
-
-    def _close(self) -> None:
-        if self._agent is not None:
-            self._agent.close()
-        self._agent = None
-
-
 class Visit:
     """The page's only action."""
 
-    def __init__(self, loaded: LoadedAgent, check: Callable[[str], Sequence[Missing]]) -> None:
-        self._loaded = loaded
-        self._check = check
+    def __init__(self, profiles: Profiles) -> None:
+        self._profiles = profiles
 
     def run(self, photo: str | None, instruction: str, profile: str, dream: bool) -> Generator[Update]:
         """Predict, with an update of the page after each stage; what goes wrong is a sentence on it."""
         progress: Progress | None = None
         try:
             picture = _picture(photo, instruction)
-            for missing in self._check(profile):
+            for missing in self._profiles.missing(profile):
                 raise InputError(f"The profile {profile!r} needs {missing.what}: {missing.fix}")
             yield _update(cards.message(f"Loading the models of the profile {profile!r} …", "busy"), None)
-            agent = self._loaded.get(profile)
+            agent = self._profiles.agent(profile)
             if not dream:
                 agent = replace(agent, dreamer=None)
             progress = Progress(picture, instruction.strip(), agent.dreamer is not None, agent.thinker is not None)
@@ -95,25 +58,6 @@ class Visit:
         except Exception:
             log.exception("a prediction failed")
             yield _update(cards.message("Something went wrong here; the server's log says what.", "error"), progress)
-
-    def summary(self, profile: str) -> str:
-        """One line about a profile."""
-        settings = _settings(profile)
-        if settings is None:
-            return "its settings cannot be read"
-        return " · ".join(part for part in (settings.profile.summary, settings.profile.memory) if part)
-
-    def dreams(self, profile: str) -> bool:
-        """Whether a profile has a Dreamer."""
-        settings = _settings(profile)
-        return settings is not None and settings.dreamer is not None
-
-
-def _settings(profile: str) -> Settings | None:
-    try:
-        return load_settings(profile)
-    except A4Error:
-        return None
 
 
 def _picture(photo: str | None, instruction: str) -> Any:

@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+import pytest
+
+from a4agent.agent import A4Agent
+from a4agent.availability import Missing
+from a4agent.config import Settings, load_settings
+from a4agent.errors import CredentialError
+from a4agent.serve.profiles import Profiles
+from a4agent.testing import scripted_agent
+
+
+def test_models_are_loaded_once_and_those_of_another_profile_take_their_place() -> None:
+    made: list[A4Agent] = []
+
+    def load(settings: Settings) -> A4Agent:
+        if settings.name == "paper":
+            raise CredentialError("no key")
+        made.append(scripted_agent())
+        return made[-1]
+
+    profiles = Profiles(load_settings, load, lambda settings: ())
+    first = profiles.agent("offline")
+    assert profiles.agent("offline") is first
+    second = profiles.agent("small")
+    assert second is not first
+    assert all(expert.closed for expert in first.experts())  # type: ignore[attr-defined]
+    with pytest.raises(CredentialError):
+        profiles.agent("paper")
+    assert profiles.agent("small") is not second
+    assert len(made) == 3
+    profiles.close()
+    profiles.close()
+
+
+def test_what_is_said_of_a_profile() -> None:
+    missing = [Missing("a GPU", "buy one")]
+    profiles = Profiles(load_settings, lambda settings: scripted_agent(), lambda settings: missing)
+    assert profiles.dreams("paper")
+    assert not profiles.dreams("offline")
+    assert "GPT-4o" in profiles.summary("paper")
+    assert profiles.missing("paper") == missing
+
+
+def test_settings_that_cannot_be_read_are_a_reason_and_no_crash() -> None:
+    profiles = Profiles(load_settings, lambda settings: scripted_agent(), lambda settings: ())
+    assert profiles.summary("papre") == "its settings cannot be read"
+    assert not profiles.dreams("papre")
+    (missing,) = profiles.missing("papre")
+    assert "did you mean 'paper'" in missing.what
