@@ -52,11 +52,31 @@ def test_a_full_disk_is_not_called_a_hub_that_cannot_be_reached(online):
 
 
 def test_whatever_else_goes_wrong_names_the_model_and_the_command(online):
+    tried = []
+
     def odd(*_, **__):
+        tried.append(1)
         raise RuntimeError("something odd\nand long")
 
     online.setattr(hub, "reach", lambda name, revision=None: None)
+    online.setattr(hub, "_PAUSE_SECONDS", 0.0)
     online.setattr("huggingface_hub.snapshot_download", odd)
     with pytest.raises(ModelFilesError, match=f"{NAME}.*something odd.*a4 models pull {NAME}") as failed:
         hub.fetch(NAME)
     assert "and long" not in str(failed.value)
+    assert len(tried) == 3
+
+
+def test_a_download_that_broke_off_is_taken_up_again(online, tmp_path):
+    results = [ConnectionError("peer closed connection"), str(tmp_path)]
+
+    def flaky(*_, **__):
+        result = results.pop(0)
+        if isinstance(result, Exception):
+            raise result
+        return result
+
+    online.setattr(hub, "reach", lambda name, revision=None: None)
+    online.setattr(hub, "_PAUSE_SECONDS", 0.0)
+    online.setattr("huggingface_hub.snapshot_download", flaky)
+    assert hub.fetch(NAME) == tmp_path

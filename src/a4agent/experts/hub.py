@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import errno
 import importlib.util
+import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,6 +24,7 @@ PATTERNS = ["*.json", "*.safetensors", "*.txt", "*.jinja", "*.model"]
 """The files of a repository that loading needs; no pickled weights, no code."""
 
 _PROBE_SECONDS = 10.0
+_ATTEMPTS, _PAUSE_SECONDS = 3, 1.0
 
 
 def cached(name: str, revision: str | None = None, file: str = "") -> Path | None:
@@ -62,10 +64,17 @@ def fetch(name: str, revision: str | None = None, file: str = "") -> Path:
     """
     hub, _ = _hub()
     reach(name, revision)
-    with _explained(name, revision):
-        if file:
-            return Path(hub.hf_hub_download(name, file, revision=revision))
-        return Path(hub.snapshot_download(name, revision=revision, allow_patterns=PATTERNS))
+    for attempts_left in reversed(range(_ATTEMPTS)):
+        try:
+            with _explained(name, revision):
+                if file:
+                    return Path(hub.hf_hub_download(name, file, revision=revision))
+                return Path(hub.snapshot_download(name, revision=revision, allow_patterns=PATTERNS))
+        except ModelFilesError as error:
+            if not attempts_left or not _may_pass(error.__cause__):
+                raise
+            time.sleep(_PAUSE_SECONDS)
+    raise AssertionError("the last attempt returns or raises")
 
 
 def download_bytes(name: str, revision: str | None = None, file: str = "") -> int:
@@ -122,6 +131,14 @@ def _explained(name: str, revision: str | None) -> Generator[None, None, None]:
         if getattr(error, "errno", None) == errno.ENOSPC:
             raise ResourceError(f"the disk of {str(cache_folder())!r} is full; HF_HOME moves the cache") from error
         raise _unreachable(name, pull, error) from error
+
+
+def _may_pass(cause: BaseException | None) -> bool:
+    """Whether asking again may help: the connection broke, rather than the hub saying no."""
+    _, errors = _hub()
+    if isinstance(cause, errors.EntryNotFoundError):
+        return isinstance(cause, errors.LocalEntryNotFoundError)
+    return cause is not None and not isinstance(cause, (errors.RepositoryNotFoundError, errors.RevisionNotFoundError))
 
 
 def _unreachable(name: str, pull: str, error: Exception) -> ModelFilesError:
