@@ -106,7 +106,7 @@ def ask(page: Any, photo: Path | None, instruction: str) -> None:
 def test_a_photo_and_a_sentence_give_a_mask_to_fade_and_to_keep(visit: Callable[[], Any]) -> None:
     page = visit()
     assert not page.is_visible("#opacity")
-    ask(page, PHOTO, "carry the bottle")
+    ask(page, PHOTO, "take the kettle off the stove")
     page.wait_for_selector("#answer figure[data-state=done] .a4-tint")
     part = page.inner_text(".a4-part")
     assert page.inner_text("#answer figcaption") == part

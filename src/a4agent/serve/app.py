@@ -32,10 +32,11 @@ MOST_WAITING = 32
 HERE = Path(__file__).parent
 FONTS = ["system-ui", "Segoe UI", "Roboto", "Helvetica Neue", "sans-serif"]
 EXAMPLES = (
-    ("thermos.jpg", "carry the bottle by its handle"),
-    ("hammer.jpg", "drive a nail into the wood"),
-    ("door.jpg", "open the door"),
+    ("kettle.jpg", "Take the kettle off the stove."),
+    ("thermos.jpg", "Unscrew the lid of the thermos."),
+    ("hammer.jpg", "Drive a nail into the wood."),
 )
+"""Rendered by `a4 data make sim`, from models under the MIT licence."""
 POLICY = (
     "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; font-src 'self' data:;"
     " script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; connect-src 'self' blob: data:; worker-src 'self' blob:"
