@@ -46,7 +46,7 @@ class Profile:
         """Measure a mask (h, w) bool that is not blank."""
         points = np.argwhere(mask)[:, ::-1].astype(np.float64)
         middle = points.mean(0)
-        variances, axes = np.linalg.eigh(np.cov((points - middle).T) + 1e-6 * np.eye(2))
+        variances, axes = np.linalg.eigh(np.cov((points - middle).T, bias=True) + 1e-6 * np.eye(2))
         grid_y, grid_x = np.mgrid[: mask.shape[0], : mask.shape[1]]
         along = (grid_x - middle[0]) * axes[0, 1] + (grid_y - middle[1]) * axes[1, 1]
         start, end = along[mask].min(), along[mask].max()

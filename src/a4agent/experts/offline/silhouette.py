@@ -64,9 +64,11 @@ def find_object(rgb: np.ndarray, threads: int = 0) -> Silhouette | None:
     if int(picture.max()) - int(picture.min()) < 8:
         return None
     blob = _largest(saliency(picture, threads))
+    thing = _innermost(picture, np.ones(picture.shape[:2], bool) if blob is None else blob)
     if blob is None:
-        return None
-    thing = _innermost(picture, blob)
+        if thing is None:
+            return None
+        blob = thing
     if thing is None and blob.mean() > 0.15 and not _is_whole(blob):
         blob = _centre_of(picture, blob, threads)
     found = cut_out(picture, blob if thing is None else thing, threads, by_colour=thing is not None)
