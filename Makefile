@@ -3,6 +3,8 @@
 PYTHON ?= python3
 # The checks need torch on the CPU only; pin what pip should take (an index or a file of yours works too).
 TORCH ?= torch==2.13.0
+# One test asks transformers' own server, which wants torchvision; all others run without, as users may.
+TORCHVISION ?= torchvision==0.28.0
 # Simulator assets: read as data, so their own requirements stay out.
 SIM_ASSETS ?= metaworld==3.1.1 gymnasium-robotics==1.4.2 robosuite==1.5.2
 BIN := .venv/bin
@@ -46,6 +48,7 @@ system:
 	$(PIP) '$(TORCH)'
 	$(PIP) -e '.[all,test]'
 	$(PIP) --no-deps $(SIM_ASSETS)
+	$(PIP) --no-deps --target .venv/torchvision '$(TORCHVISION)'
 	@touch $@ .venv/.demo
 
 clean:
