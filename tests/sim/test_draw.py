@@ -7,6 +7,7 @@ import pytest
 from scipy.ndimage import binary_dilation, binary_erosion
 
 from a4agent.errors import ConfigError, DataError
+from a4agent.sim import draw
 from a4agent.sim.backend import mujoco
 from a4agent.sim.draw import LEAST_PIXELS, LEAST_VISIBLE, Drawn, Plan, draw_sample, plan_set
 from a4agent.sim.placing import CLEAR, bounds
@@ -100,7 +101,10 @@ def test_a_plan_draws_the_same_sample_again(catalogue: Catalogue, drawn: dict[st
         assert np.array_equal(getattr(again, field), getattr(drawn["dial"], field))
 
 
-def test_a_part_that_only_shows_from_behind_is_never_emitted(catalogue: Catalogue) -> None:
+def test_a_part_that_only_shows_from_behind_is_never_emitted(
+    catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(draw, "SCENES", 3)
     drawer = catalogue.thing("drawer")
     hidden = drawer.model_copy(update={"front": 90.0, "spread": 2.0, "joints": {}, "elevation": (5.0, 10.0)})
     with pytest.raises(DataError, match="'drawer': the part 'handle' was hidden or tiny in all"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from a4agent.errors import DataError
-from a4agent.sim.draw import Drawn
+from a4agent.sim.draw import Drawn, Plan, draw_sample
 from a4agent.sim.placing import UNSEEN, bounds
 from a4agent.sim.scene import build_scene
 from a4agent.sim.things import Catalogue, Part, Selector, Thing, built_in
@@ -51,6 +51,22 @@ def test_joints_stay_in_their_range(catalogue: Catalogue) -> None:
         assert -0.12 <= position <= 0
         opened.add(position)
     assert len(opened) == 4
+
+
+def test_euler_turns_a_thing_before_it_is_put_down(catalogue: Catalogue) -> None:
+    standing = catalogue.thing("thermos")
+    for thing, tall in ((standing, True), (standing.model_copy(update={"euler": (90.0, 0.0, 0.0)}), False)):
+        scene = _build(catalogue, thing)
+        low, high = bounds(scene.model, scene.data, scene.thing_geoms)
+        assert low[2] == pytest.approx(0, abs=0.002)
+        assert (high[2] > 1.5 * (high[1] - low[1])) == tall
+
+
+def test_a_catalogue_of_ones_own_need_not_declare_surfaces_or_props(catalogue: Catalogue) -> None:
+    for surfaces in ((), tuple(one for one in catalogue.surfaces if one.use == ("table",))):
+        bare = catalogue.model_copy(update={"surfaces": surfaces, "props": (), "arms": ()})
+        drawn = draw_sample(bare, Plan(1, 0, bare.thing("drawer"), bare.thing("drawer").tasks[0]))
+        assert drawn.scene.surfaces == (("table",) if surfaces else ())
 
 
 @pytest.mark.parametrize(

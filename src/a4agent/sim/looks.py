@@ -60,29 +60,31 @@ def paint(scene: Scene, rng: np.random.Generator) -> None:
 
 def furnish(scene: Scene, yaw: float, rng: np.random.Generator) -> None:
     """Size table, wall and floor to the thing and turn them roughly towards a camera at `yaw` (radians)."""
-    model, radius = scene.model, scene.radius
-    if scene.surface_id("table") < 0:
+    if not scene.surfaces:
         return
+    model, radius = scene.model, scene.radius
     turn = yaw + rng.uniform(-0.6, 0.6)
     towards = np.array([np.cos(turn), np.sin(turn)])
-    quaternion = [np.cos(turn / 2 + np.pi / 4), 0, 0, np.sin(turn / 2 + np.pi / 4)]
     half = np.array([rng.uniform(3.0, 6.0), rng.uniform(1.8, 3.0)]) * max(radius, 0.12)
-    table = scene.surface_id("table")
-    model.geom_size[table, :2] = half
-    model.geom_aabb[table, 3:5] = half
-    model.geom_rbound[table] = np.linalg.norm(model.geom_size[table])
     shift = rng.uniform(-0.3, 0.3) * half[1] * towards
-    model.body("stage/table").pos = [*shift, -THICKNESS / 2]
-    model.body("stage/table").quat = quaternion
-    behind = -(half[1] * rng.uniform(1.0, 1.6)) * towards + shift
-    model.body("stage/wall").pos = [*(behind - towards * THICKNESS / 2), 0.0]
-    model.body("stage/wall").quat = _quaternion(
-        np.array([[-towards[1], 0, towards[0]], [towards[0], 0, towards[1]], [0, 1, 0]])
-    )
-    model.body("stage/floor").pos = [0, 0, -rng.uniform(2.0, 4.0) * max(radius, 0.25)]
-    for name, repeat in (("table", 1.0), ("wall", 0.6), ("floor", 0.6)):
-        material = model.mat(f"stage/{name}").id
-        model.mat_texrepeat[material] = repeat * rng.uniform(0.5, 1.5) / max(radius, 0.15) / 3
+    behind = shift - (half[1] * rng.uniform(1.0, 1.6) + THICKNESS / 2) * towards
+    below = rng.uniform(2.0, 4.0) * max(radius, 0.25)
+    flat = [[-towards[1], -towards[0], 0], [towards[0], -towards[1], 0], [0, 0, 1]]
+    upright = [[-towards[1], 0, towards[0]], [towards[0], 0, towards[1]], [0, 1, 0]]
+    places = {
+        "table": ([*shift, -THICKNESS / 2], flat),
+        "wall": ([*behind, 0.0], upright),
+        "floor": ([0.0, 0.0, -below], np.eye(3)),
+    }
+    for use in scene.surfaces:
+        body = model.body(f"stage/{use}")
+        body.pos, body.quat = places[use][0], _quaternion(np.array(places[use][1], float))
+        repeat = 1.0 if use == "table" else 0.6
+        model.mat_texrepeat[model.mat(f"stage/{use}").id] = repeat * rng.uniform(0.5, 1.5) / max(radius, 0.15) / 3
+    if "table" in scene.surfaces:
+        table = model.geom("stage/table").id
+        model.geom_size[table, :2] = model.geom_aabb[table, 3:5] = half
+        model.geom_rbound[table] = np.linalg.norm(model.geom_size[table])
 
 
 def light(scene: Scene, yaw: float, rng: np.random.Generator) -> None:

@@ -45,6 +45,7 @@ def set_joints(model: Any, data: Any, entry: Model, prefix: str, rng: np.random.
 
 
 def subtree_geoms(model: Any, body_name: str) -> np.ndarray:
+    """The ids of all geoms of a body and the bodies below it."""
     root = model.body(body_name).id
     inside = np.zeros(model.nbody, bool)
     inside[root] = True
@@ -64,6 +65,7 @@ def without_collision_geoms(model: Any, geoms: np.ndarray) -> np.ndarray:
 
 
 def sort_geoms(model: Any, part: np.ndarray) -> None:
+    """Give every geom one of our groups by whether it is seen, clear, or of the asked parts."""
     for geom in range(model.ngeom):
         if model.geom_group[geom] > 2 or _alpha(model, geom) <= 0.05:
             model.geom_group[geom] = UNSEEN
@@ -99,6 +101,7 @@ def _matches(model: Any, geom: int, selector: Selector, prefix: str) -> bool:
 
 
 def put_down(model: Any, data: Any, holder: str, xy: np.ndarray, level: float = 0.0) -> None:
+    """Move a body so that what is seen of it stands on the height `level`, its middle over `xy`."""
     low, high = bounds(model, data, _seen_of(model, holder))
     middle = (low + high) / 2
     model.body(holder).pos += np.array([xy[0] - middle[0], xy[1] - middle[1], level - low[2]])

@@ -39,7 +39,8 @@ THICKNESS = 0.04
 class Scene:
     """A compiled scene. `part_geoms` maps each asked part to its geom ids; `thing_geoms` are the whole thing's.
 
-    `arm_geoms` are the robot's. `center` (3,) and `radius` describe the thing's bounding box in metres.
+    `arm_geoms` are the robot's, `surfaces` those of our stage. `center` (3,) and `radius` describe the
+    thing's bounding box in metres.
     """
 
     model: Any
@@ -48,14 +49,11 @@ class Scene:
     part_geoms: dict[str, np.ndarray]
     thing_geoms: np.ndarray
     arm_geoms: np.ndarray
+    surfaces: tuple[Use, ...]
     props: tuple[str, ...]
     arm: str | None
     center: np.ndarray
     radius: float
-
-    def surface_id(self, name: str) -> int:
-        """The geom id of "table", "wall" or "floor", -1 where the scene has none of ours."""
-        return int(mujoco().mj_name2id(self.model, mujoco().mjtObj.mjOBJ_GEOM, f"stage/{name}"))
 
 
 def build_scene(
@@ -74,18 +72,13 @@ def build_scene(
     `yaw` is the direction the camera will look from; an arm comes in from that half. Props that find no
     free spot are left out. Raises DataError if a declaration does not fit its file.
     """
-    spec = mujoco().MjSpec() if not thing.in_place else _open(catalogue, thing)
-    if thing.in_place:
-        _clear_room(spec, thing)
-        root = _find_root(spec, thing)
-        root_name = root.name = root.name or "thing"
-    else:
-        root_name = _attach(spec, catalogue, thing, "thing")
+    spec, root_name = _start(catalogue, thing)
     for index, prop in enumerate(props):
         _attach(spec, catalogue, prop, f"prop{index}")
     if arm:
         _attach(spec, catalogue, arm, "arm")
-    _add_stage(spec, catalogue, {} if thing.in_place else surfaces or {})
+    surfaces = {} if thing.in_place else surfaces or {}
+    _add_stage(spec, catalogue, surfaces)
     _drop_unused(spec)
     try:
         model = spec.compile()
@@ -126,11 +119,24 @@ def build_scene(
         part_geoms=part_geoms,
         thing_geoms=thing_geoms,
         arm_geoms=subtree_geoms(model, "arm") if arm else np.zeros(0, int),
+        surfaces=tuple(surfaces),
         props=tuple(placed),
         arm=arm.name if arm else None,
         center=(low + high) / 2,
         radius=float(np.linalg.norm(high - low) / 2),
     )
+
+
+def _start(catalogue: Catalogue, thing: Thing) -> tuple[Any, str]:
+    """The specification that all else is added to, and the name of the thing's body in it."""
+    if not thing.in_place:
+        spec = mujoco().MjSpec()
+        return spec, _attach(spec, catalogue, thing, "thing")
+    spec = _open(catalogue, thing)
+    _clear_room(spec, thing)
+    root = _find_root(spec, thing)
+    root.name = root.name or "thing"
+    return spec, root.name
 
 
 def _open(catalogue: Catalogue, entry: Model) -> Any:
@@ -173,10 +179,7 @@ def _attach(spec: Any, catalogue: Catalogue, entry: Model, name: str) -> str:
     _same_physics(child, spec)
     root = _find_root(child, entry)
     root.pos = np.zeros(3)
-    for joint in root.find_all("joint"):
-        if joint.type == FREE_JOINT:
-            child.delete(joint)
-    for joint in list(root.joints):
+    for joint in list(root.find_all("joint")):
         if joint.type == FREE_JOINT:
             child.delete(joint)
     holder = spec.worldbody.add_body(name=name, quat=_quaternion(entry.euler))
@@ -185,6 +188,7 @@ def _attach(spec: Any, catalogue: Catalogue, entry: Model, name: str) -> str:
 
 
 def _clear_room(spec: Any, thing: Thing) -> None:
+    """Take out the room's own lights, and what the thing is declared to be shown `without`."""
     for light in list(spec.lights):
         spec.delete(light)
     for name in thing.without:

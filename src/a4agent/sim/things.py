@@ -99,7 +99,6 @@ class Model(Declared):
     file: str
     root: str | None = None
     euler: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    scale: float = 1.0
     joints: dict[str, Range] = {}
 
 
