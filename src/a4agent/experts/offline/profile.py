@@ -10,6 +10,7 @@ most, weighed against what is known of such tools: a `Layout`. Both directions c
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -67,36 +68,55 @@ class Profile:
 
     def cut(self, layout: Layout) -> tuple[Span, Span]:
         """Where the grip lies and where the working end."""
-        costs = [self._costs(layout, flipped) for flipped in (False, True)]
+        costs = [evidence.costs(layout) for evidence in self._evidence]
         flipped = bool(min(costs[1]) < min(costs[0]))
-        share = (np.argmin(costs[flipped]) + _FIRST) / STEPS
+        share = float(CUTS[np.argmin(costs[flipped])] / STEPS)
         if flipped:
             return (1.0 - share, 1.0), (0.0, 1.0 - share)
         return (0.0, share), (share, 1.0)
 
-    def _costs(self, layout: Layout, flipped: bool) -> np.ndarray:
-        """How ill each cut, after _FIRST .. STEPS - _FIRST steps of grip, fits the picture and the layout."""
-        order = slice(None, None, -1) if flipped else slice(None)
-        widths, colours = np.maximum(self.widths[order], 1.0), self.colours[order]
+    @cached_property
+    def _evidence(self) -> tuple[_Evidence, _Evidence]:
+        """For the grip at the start of the axis, and at its end."""
+        widths = np.maximum(self.widths, 1.0)
+        return _Evidence.of(widths, self.colours), _Evidence.of(widths[::-1], self.colours[::-1])
+
+
+CUTS = np.arange(6, STEPS - 5)
+"""After how many steps of grip an object may be cut."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """What the picture says for each of CUTS: the share of the variation that it explains, the size of the step in
+    width and colour there, the log of how much wider the working end is, and how much greyer."""
+
+    explained: np.ndarray
+    step: np.ndarray
+    wider: np.ndarray
+    greyer: np.ndarray
+
+    @classmethod
+    def of(cls, widths: np.ndarray, colours: np.ndarray) -> _Evidence:
         features = np.concatenate([1.6 * np.log2(widths)[:, None], colours / 10.0], axis=1)
-        cuts = np.arange(_FIRST, STEPS - _FIRST + 1)
-        total = ((features - features.mean(0)) ** 2).sum()
-        left = np.array([_scatter(features[:k]) + _scatter(features[k:]) for k in cuts])
-        explained = 1.0 - left / max(total, 1e-6)
-        step = np.array([np.linalg.norm(features[k - 3 : k].mean(0) - features[k : k + 3].mean(0)) for k in cuts])
-        ratio = np.array([np.log2(widths[k:-1].mean() / widths[1:k].mean()) for k in cuts])
-        cost = -2.5 * explained - 0.35 * np.minimum(step, 4.0)
-        cost += 0.5 * ((cuts / STEPS - layout.grip) / 0.13) ** 2
-        cost += 0.5 * ((ratio - np.log2(layout.width)) / 0.6) ** 2
+        features = features - features.mean(0)
+        total = (features**2).sum()
+        before = np.cumsum(features, axis=0)[CUTS - 1]
+        between = (before**2).sum(1) / CUTS + ((features.sum(0) - before) ** 2).sum(1) / (STEPS - CUTS)
+        near = [features[k - 3 : k].mean(0) - features[k : k + 3].mean(0) for k in CUTS]
+        # The outermost steps of a rounded end say nothing about its width.
+        grip = (np.cumsum(widths)[CUTS - 1] - widths[0]) / (CUTS - 1)
+        work = (widths.sum() - widths[-1] - np.cumsum(widths)[CUTS - 1]) / (STEPS - 1 - CUTS)
+        chroma = np.cumsum(np.linalg.norm(colours[:, 1:], axis=1))
+        greyer = chroma[CUTS - 1] / CUTS - (chroma[-1] - chroma[CUTS - 1]) / (STEPS - CUTS)
+        step = np.linalg.norm(np.array(near), axis=1)
+        return cls(between / max(total, 1e-6), step, np.log2(work / grip), greyer)
+
+    def costs(self, layout: Layout) -> np.ndarray:
+        """How ill each cut fits the picture and the layout."""
+        cost = -2.5 * self.explained - 0.35 * np.minimum(self.step, 4.0)
+        cost += 0.5 * ((CUTS / STEPS - layout.grip) / 0.13) ** 2
+        cost += 0.5 * ((self.wider - np.log2(layout.width)) / 0.6) ** 2
         if layout.steel:
-            chroma = np.linalg.norm(colours[:, 1:], axis=1)
-            greyer = np.array([chroma[:k].mean() - chroma[k:].mean() for k in cuts])
-            cost -= 1.5 * np.clip(greyer / 15.0, -1.0, 1.0)
+            cost -= 1.5 * np.clip(self.greyer / 15.0, -1.0, 1.0)
         return cost
-
-
-_FIRST = 6
-
-
-def _scatter(features: np.ndarray) -> float:
-    return float(((features - features.mean(0)) ** 2).sum())

@@ -80,20 +80,21 @@ def cut_out(rgb: np.ndarray, rough: np.ndarray, threads: int = 0, by_colour: boo
 
     `by_colour` says that the mask was found by its colour and may be trusted in detail.
     """
-    found, cut_off = _in_window(rgb, rough, _look(rgb, rough, threads), MARGIN, by_colour)
+    certainty = _look(rgb, rough, threads)
+    found, cut_off = _in_window(rgb, rough, certainty, MARGIN, by_colour)
     if not cut_off:
         return found
     # Only a piece of something long was marked: find all of it, then look again.
-    wide, _ = _in_window(rgb, rough, _look(rgb, rough, threads, WIDE_MARGIN / 2), WIDE_MARGIN, by_colour)
+    wide, _ = _in_window(rgb, rough, certainty, WIDE_MARGIN, by_colour)
     whole = wide.to_image(wide.mask, (rgb.shape[1], rgb.shape[0]))
     if not whole.any():
         return found
     return _in_window(rgb, whole, _look(rgb, whole, threads), MARGIN, by_colour=True)[0]
 
 
-def _look(rgb: np.ndarray, rough: np.ndarray, threads: int, margin: float = LOOK) -> np.ndarray:
+def _look(rgb: np.ndarray, rough: np.ndarray, threads: int) -> np.ndarray:
     """What the network says (H, W) float32 of the surroundings of a rough mask."""
-    x0, y0, x1, y1 = box_around(rough, margin)
+    x0, y0, x1, y1 = box_around(rough, LOOK)
     certainty = np.zeros(rough.shape, np.float32)
     certainty[y0:y1, x0:x1] = saliency(np.ascontiguousarray(rgb[y0:y1, x0:x1]), threads)
     return certainty
