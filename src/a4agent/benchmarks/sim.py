@@ -13,7 +13,6 @@ visible (share of the part that is seen) and size (of the part in the picture).
 from __future__ import annotations
 
 import os
-import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,6 +25,7 @@ from a4agent.affordance import Query
 from a4agent.benchmarks import files
 from a4agent.benchmarks.base import Benchmark, Sample, Truth
 from a4agent.errors import DataError
+from a4agent.folders import system_cache
 
 DEFAULT_N, DEFAULT_SEED = 200, 0
 SOURCE = "a4 data make sim --out DIR"
@@ -129,16 +129,8 @@ def default_set() -> Path:
 
 def cache_folder() -> Path:
     """Where made sets are kept: below A4_CACHE_DIR, else below the system's place for caches."""
-    home = Path.home()
-    if chosen := os.environ.get("A4_CACHE_DIR"):
-        return Path(chosen).expanduser() / "sim"
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = home / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
-    return base / "a4agent" / "sim"
+    chosen = os.environ.get("A4_CACHE_DIR")
+    return (Path(chosen).expanduser() if chosen else system_cache()) / "sim"
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,6 @@ from __future__ import annotations
 import logging
 import os
 import shutil
-import sys
 import threading
 import time
 import uuid
@@ -26,6 +25,7 @@ from pathlib import Path
 from a4agent.engine import entries
 from a4agent.errors import ConfigError
 from a4agent.experts.base import Answer, ChatAnswer
+from a4agent.folders import system_cache
 
 log = logging.getLogger("a4agent")
 
@@ -39,16 +39,8 @@ ABANDONED = 3600.0
 
 def default_folder() -> Path:
     """A4_CACHE_DIR, or the place for caches of this system."""
-    if chosen := os.environ.get("A4_CACHE_DIR"):
-        return Path(chosen).expanduser()
-    home = Path.home()
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = home / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
-    return base / "a4agent" / "answers"
+    chosen = os.environ.get("A4_CACHE_DIR")
+    return Path(chosen).expanduser() if chosen else system_cache() / "answers"
 
 
 @dataclass(frozen=True)
