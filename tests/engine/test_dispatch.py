@@ -191,17 +191,17 @@ def test_an_overdue_call_is_given_up_and_its_slot_used_again_only_later(make: Ma
 
     detector = ScriptedDetector(answer)
     dispatcher = make(detector)
-    hanging, next_one = Job(DetectRequest(PHOTO, "hang"), 0.1), Job(DetectRequest(PHOTO, "fine"), 0.1)
+    hanging, next_one = Job(DetectRequest(PHOTO, "hang"), 0.3), Job(DetectRequest(PHOTO, "fine"), 0.3)
     dispatcher.submit(hanging)
     dispatcher.submit(next_one)
-    time.sleep(0.13)
-    dispatcher.abandon_overdue(0.1)
+    time.sleep(0.35)
+    dispatcher.abandon_overdue(0.3)
     outcome = hanging.wait()
     assert isinstance(outcome, ProviderTimeout)
-    assert hanging.seconds >= 0.1
+    assert hanging.seconds >= 0.3
     assert not next_one.settled  # the call may only be slow: nothing runs beside it yet
-    time.sleep(0.1)
-    dispatcher.abandon_overdue(0.1)
+    time.sleep(0.3)
+    dispatcher.abandon_overdue(0.3)
     assert not isinstance(next_one.wait(), Exception)
     release.set()
 

@@ -229,7 +229,7 @@ def test_a_call_that_hangs_fails_its_sample_and_not_the_run(queries: Queries) ->
 
     detector = ScriptedDetector(hanging)
     agent = A4Agent(None, None, Spotter(detector, ScriptedSegmenter()))
-    settings = EngineSettings(max_sample_seconds=0.15)
+    settings = EngineSettings(max_sample_seconds=0.4)
     answers = {q.id: a for q, a in engine.run(agent, queries(20), settings=settings)}
     release.set()
     assert sorted(name for name, a in answers.items() if a.status == "error") == ["q2", "q9"]
@@ -239,7 +239,7 @@ def test_a_call_that_hangs_fails_its_sample_and_not_the_run(queries: Queries) ->
 
 def test_waiting_for_a_turn_is_not_held_against_a_sample(queries: Queries) -> None:
     agent = A4Agent(None, None, Spotter(ScriptedDetector(seconds=0.03), ScriptedSegmenter()))
-    settings = EngineSettings(max_sample_seconds=0.3, in_flight=30)
+    settings = EngineSettings(max_sample_seconds=0.6, in_flight=30)
     answers = list(engine.run(agent, queries(30), settings=settings))  # the last one waits for 0.9 s
     assert {a.status for _, a in answers} == {"ok"}
 
