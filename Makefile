@@ -29,6 +29,8 @@ docs: .venv/.test
 
 perf: .venv/.test
 	$(BIN)/python perf/start.py
+	$(BIN)/python perf/engine.py
+	$(BIN)/python perf/metrics.py
 
 # What some tests drive: a browser for the page and the report, a software renderer for the simulator.
 # Without root they are skipped, each naming its package.

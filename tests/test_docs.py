@@ -156,7 +156,9 @@ def test_links_between_files_lead_somewhere() -> None:
 def test_nothing_points_out_of_the_project() -> None:
     """No path of a workplace, no package registry: those who read this have other ones."""
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False).stdout.split()
-    forbidden = re.compile("|".join(["/wo" + "rk/", r"\.\./sha" + "red", "files\\.python" + "hosted", "pypi\\.(python|o)" + "rg"]))
+    forbidden = re.compile(
+        "|".join(["/wo" + "rk/", r"\.\./sha" + "red", "files\\.python" + "hosted", "pypi\\.(python|o)" + "rg"])
+    )
     for name in listed:
         path = ROOT / name
         if path.suffix in {".py", ".md", ".toml", ".yml", ".txt", ".jsonl", ""} and path.is_file():

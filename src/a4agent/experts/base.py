@@ -126,7 +126,7 @@ class Detection:
 
 @dataclass(frozen=True, eq=False)
 class Prompt:
-    """One region to segment: `box_xyxy` (4,) or None, `points_xy` (k, 2), all points inside it. At least one of both."""
+    """One region to segment: `box_xyxy` (4,) or None, `points_xy` (k, 2) that lie in it; one of both at least."""
 
     box_xyxy: np.ndarray | None = None
     points_xy: np.ndarray = field(default_factory=_no_points)
