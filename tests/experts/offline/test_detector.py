@@ -49,6 +49,20 @@ def test_the_part_is_found(name: str, part: str, phrase: str, degrees: float, re
     assert np.abs(found.boxes_xyxy[0] - tight).max() <= 3
 
 
+def test_the_inside_and_the_rim_of_a_mug(mug, overlap) -> None:
+    drawing = mug()
+    y, x = np.mgrid[:360, :480]
+    inside = ((x - 220) / 70) ** 2 + ((y - 110) / 20) ** 2 <= 1
+    masks = {}
+    for name in ("inside", "rim"):
+        found = detect(drawing.image, f"the {name} of the mug")
+        prompt = Prompt(found.boxes_xyxy[0], found.points_xy)
+        masks[name] = create("parts", "segmenter").segment([SegmentRequest(drawing.image, (prompt,))])[0].masks[0, 0]
+    assert overlap(masks["inside"], inside) > 0.7
+    assert 0 < masks["rim"].sum() < 0.7 * masks["inside"].sum()
+    assert not masks["rim"][110, 220]
+
+
 def test_the_whole_path_by_profile(screwdriver, overlap) -> None:
     drawing = screwdriver()
     with_agent = A4Agent.from_profile("offline").predict(drawing.image, "which part goes into the screw to tighten it?")

@@ -3,6 +3,7 @@
     found = list(details(mask, lab))
     longest(found) -> (h, w) bool or None       a bar
     most_compact(found) -> (h, w) bool or None  a knob, a button
+    widest_ellipse(found, mask) -> ...          the inside of a cup
 
 They are pieces inside the outline that differ from the material around them.
 """
@@ -41,6 +42,28 @@ def most_compact(found: Sequence[Detail]) -> np.ndarray | None:
     spots = [detail for detail in found if detail.share < 0.15]
     best = max(spots, key=lambda d: d.fullness * d.contrast * np.sqrt(d.share) / d.elongation, default=None)
     return best.mask if best else None
+
+
+def widest_ellipse(found: Sequence[Detail], mask: np.ndarray) -> np.ndarray | None:
+    """The largest elliptical area (h, w) bool that a detail of the object (h, w) bool surrounds, in its upper part."""
+    cv2 = require("cv2", extra="offline")
+    rows = np.flatnonzero(mask.any(1))
+    best, largest = None, 0.08 * mask.sum()
+    for detail in found:
+        contours, _ = cv2.findContours(detail.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        hull = cv2.convexHull(max(contours, key=len))
+        if len(hull) < 8:
+            continue
+        blank = np.zeros(mask.shape, np.uint8)
+        area = cv2.fillConvexPoly(blank.copy(), hull, 1) > 0
+        (x, y), axes, angle = cv2.fitEllipse(hull)
+        if min(axes) < 3 or y > rows[0] + 0.6 * len(rows):
+            continue
+        ellipse = cv2.ellipse(blank, ((x, y), axes, angle), 1, -1) > 0
+        fits = (area & ellipse).sum() / (area | ellipse).sum()
+        if fits > 0.88 and largest < (ellipse & mask).sum() < 0.7 * mask.sum():
+            best, largest = ellipse & mask, int((ellipse & mask).sum())
+    return best
 
 
 def details(mask: np.ndarray, lab: np.ndarray) -> Iterator[Detail]:

@@ -105,19 +105,21 @@ class Anatomy:
         return large[0].mask if large else self._bar(layout)
 
     def _opening(self, layout: Layout) -> np.ndarray:
-        """The inside of a vessel seen from above: the ellipse whose far half is the top of its outline."""
+        """The inside of a vessel: an ellipse of another colour, else the one that the top of its outline implies."""
+        seen = details.widest_ellipse(self._details, self.mask)
+        return self._implied_opening() if seen is None else seen
+
+    def _implied_opening(self) -> np.ndarray:
+        """The ellipse whose far half is the top of the outline, as of a vessel seen from above."""
         cv2 = require("cv2", extra="offline")
         body = self._split[0]
         rows = np.flatnonzero(body.any(1))
         widths = body[rows].sum(1)
-        top, height = rows[0], len(rows)
-        widest = int(np.argmax(widths >= 0.95 * widths[: max(1, int(0.7 * height))].max()))
-        columns = np.flatnonzero(body[top + widest])
-        half_wide, half_high = (columns[-1] - columns[0] + 1) / 2, max(1.0, widest + 1.0)
-        centre = round((columns[0] + columns[-1]) / 2), int(top + widest)
-        ellipse = np.zeros(body.shape, np.uint8)
-        axes = max(1, int(0.95 * half_wide)), max(1, int(0.95 * half_high))
-        cv2.ellipse(ellipse, centre, axes, 0, 0, 360, 1, -1)
+        widest = int(np.argmax(widths >= 0.95 * widths[: max(1, int(0.7 * len(rows)))].max()))
+        columns = np.flatnonzero(body[rows[widest]])
+        centre = round((columns[0] + columns[-1]) / 2), int(rows[widest])
+        axes = max(1, int(0.95 * len(columns) / 2)), max(1, int(0.95 * (widest + 1)))
+        ellipse = cv2.ellipse(np.zeros(body.shape, np.uint8), centre, axes, 0, 0, 360, 1, -1)
         return (ellipse > 0) & self.mask
 
     def _rim(self, layout: Layout) -> np.ndarray:

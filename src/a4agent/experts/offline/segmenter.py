@@ -78,7 +78,8 @@ def _best_region(scene: Scene, prompt: Prompt) -> tuple[np.ndarray | None, float
         if prompt.box_xyxy is not None:
             fit = _overlap(scene.box_xyxy(region), prompt.box_xyxy) * (0.5 + 0.5 * inside)
         else:
-            fit = inside / (1.0 + region.mean()) if inside == 1.0 else 0.0
+            fit = float(inside == 1.0)
+        fit /= 1.0 + 0.1 * region.mean()  # of two that fit, a rim and what it surrounds, the smaller
         if fit > best_fit:
             best, best_fit = region, fit
     return best, best_fit
