@@ -113,7 +113,7 @@ def test_a_stranger_can_say_what_it_needs(monkeypatch):
 
     module = type("module", (), {"checkpoints": staticmethod(lambda model, settings: [f"stranger/{model}"])})
     monkeypatch.setitem(models.sys.modules, factory.__module__, module)
-    monkeypatch.setitem(registry._added, "stranger", factory)
+    monkeypatch.setitem(registry.plugins.added, "stranger", factory)
     assert names(detector="stranger:eye") == ["stranger/eye"]
 
 

@@ -31,7 +31,7 @@ def test_a_strangers_reader(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
         """Mine."""
         return Benchmark("mine", "MIT", "here", path, 0, lambda _: None, "0", {"split": split})  # pyright: ignore
 
-    monkeypatch.setattr(registry, "_added", {})
+    monkeypatch.setattr(registry.plugins, "added", {})
     registry.register("mine", create)
 
     assert "mine" in registry.names()
@@ -40,8 +40,8 @@ def test_a_strangers_reader(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
 
 
 def test_a_broken_plugin_is_a_warning_that_names_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    broken = EntryPoint("broken", "no_such_module_here:create", registry.GROUP)
-    monkeypatch.setattr(registry, "_entry_points", lambda: {"broken": broken})
+    broken = EntryPoint("broken", "no_such_module_here:create", registry.plugins.group)
+    monkeypatch.setattr(registry.plugins, "_installed", {"broken": broken})
 
     with pytest.warns(UserWarning, match="no_such_module_here"), pytest.raises(ConfigError, match="'broken'"):
         registry.load("broken", tmp_path)

@@ -26,7 +26,7 @@ def a4(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
     pictures.write_folder(tmp_path / "data", 10)
     (tmp_path / "drawn.toml").write_text(killable.PROFILE.replace("SECONDS", "0.0"))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(registry._added, "drawn", killable.create)  # pyright: ignore[reportPrivateUsage]
+    monkeypatch.setitem(registry.plugins.added, "drawn", killable.create)
 
     def command(*arguments: str) -> tuple[int, str, str]:
         try:

@@ -34,7 +34,7 @@ def _scripted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
             return ScriptedVLM(lambda asked: "hm" if "fail" in asked.text else output("the handle of the mug", "mug"))
         return ScriptedDetector() if model == "detector" else ScriptedSegmenter()
 
-    monkeypatch.setitem(registry._added, "mine", make)
+    monkeypatch.setitem(registry.plugins.added, "mine", make)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a4.toml").write_text(f"profile = '{tmp_path / 'mine.toml'}'")
     (tmp_path / "mine.toml").write_text(PROFILE)

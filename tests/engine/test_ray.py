@@ -102,10 +102,10 @@ def _plugin(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(site), before]))
     sys.path.insert(0, str(site))
     importlib.invalidate_caches()
-    registry._entry_points.cache_clear()  # pyright: ignore[reportPrivateUsage]
+    registry.plugins.forget()
     yield
     sys.path.remove(str(site))
-    registry._entry_points.cache_clear()  # pyright: ignore[reportPrivateUsage]
+    registry.plugins.forget()
     os.environ.pop("PYTHONPATH")
     if before is not None:
         os.environ["PYTHONPATH"] = before

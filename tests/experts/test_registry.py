@@ -18,7 +18,7 @@ def make(model: str, role: str, *, size: int = 3) -> Any:
 
 @pytest.fixture(autouse=True)
 def _mine(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry, "_added", {"mine": make})
+    monkeypatch.setattr(registry.plugins, "added", {"mine": make})
 
 
 def test_an_expert_gets_its_model_and_settings() -> None:
@@ -52,7 +52,7 @@ def test_all_built_in_providers_are_entry_points() -> None:
 
 
 def test_a_broken_plugin_is_a_warning_that_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    broken = EntryPoint("broken", "no_such_module_anywhere:create", registry.GROUP)
-    monkeypatch.setattr(registry, "_entry_points", lambda: {"broken": broken})
+    broken = EntryPoint("broken", "no_such_module_anywhere:create", registry.plugins.group)
+    monkeypatch.setattr(registry.plugins, "_installed", {"broken": broken})
     with pytest.warns(UserWarning, match="broken.*no_such_module_anywhere"), pytest.raises(ConfigError, match="broken"):
         registry.create("broken:x", "vlm")

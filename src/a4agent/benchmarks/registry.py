@@ -14,35 +14,27 @@ and nothing is imported before it is asked for.
 from __future__ import annotations
 
 import inspect
-import warnings
 from collections.abc import Callable, Mapping
-from functools import lru_cache
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from a4agent.benchmarks.base import Benchmark
-from a4agent.errors import A4Error, ConfigError, UnknownNameError
+from a4agent.errors import ConfigError, UnknownNameError
+from a4agent.plugins import Plugins, keywords_of
 
-GROUP = "a4agent.benchmarks"
 Factory = Callable[..., Benchmark]
 
-_added: dict[str, Factory] = {}
+plugins = Plugins("a4agent.benchmarks", "benchmark")
 
 
 def register(name: str, factory: Factory) -> None:
     """Add a benchmark for this process, without packaging. Replaces one of the same name."""
-    _added[name] = factory
-
-
-@lru_cache(maxsize=1)
-def _entry_points() -> Mapping[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=GROUP)}
+    plugins.register(name, factory)
 
 
 def names() -> list[str]:
     """The names of all registered benchmarks."""
-    return sorted({*_entry_points(), *_added})
+    return plugins.names()
 
 
 def factory_of(name: str) -> Factory:
@@ -52,25 +44,12 @@ def factory_of(name: str) -> Factory:
         UnknownNameError: nobody registered it; the message suggests the nearest name.
         ConfigError: it is registered, but its module cannot be loaded.
     """
-    if name in _added:
-        return _added[name]
-    point = _entry_points().get(name)
-    if point is None:
-        raise UnknownNameError.of("benchmark", name, names())
-    try:
-        return cast(Factory, point.load())
-    except A4Error:
-        raise
-    except Exception as error:
-        message = f"the benchmark {name!r} ({point.value}) cannot be loaded: {error!r}"
-        warnings.warn(message, stacklevel=2)
-        raise ConfigError(message) from error
+    return plugins.find(name)
 
 
 def options_of(factory: Factory) -> dict[str, Any]:
     """Names and defaults of a benchmark's options."""
-    parameters = inspect.signature(factory).parameters.values()
-    return {p.name: p.default for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
+    return keywords_of(factory) or {}
 
 
 def load(name: str, path: str | Path | None, options: Mapping[str, Any] | None = None) -> Benchmark:

@@ -14,44 +14,39 @@ experts are registered in the same way as a stranger's. Nothing is imported befo
 
 from __future__ import annotations
 
-import inspect
 import sys
-import warnings
 from collections.abc import Callable, Mapping
-from functools import lru_cache
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any, cast
+from typing import Any
 
-from a4agent.errors import A4Error, ConfigError, UnknownNameError
+from a4agent.errors import ConfigError, UnknownNameError
 from a4agent.experts.base import Expert, Role
+from a4agent.plugins import Plugins
+from a4agent.plugins import keywords_of as settings_of
 
-GROUP = "a4agent.experts"
 VERBS: dict[Role, str] = {"vlm": "chat", "editor": "edit", "detector": "detect", "segmenter": "segment"}
 Factory = Callable[..., Expert]
 
-_added: dict[str, Factory] = {}
+plugins = Plugins("a4agent.experts", "expert provider", "`a4 models list` shows what there is.")
 
 
 def register(provider: str, factory: Factory) -> None:
     """Add a provider for this process, without packaging (tests, notebooks). Replaces one of the same name."""
-    _added[provider] = factory
-
-
-@lru_cache(maxsize=1)
-def _entry_points() -> Mapping[str, EntryPoint]:
-    found: dict[str, EntryPoint] = {}
-    for point in entry_points(group=GROUP):
-        if point.name in found and found[point.name].value != point.value:
-            message = f"two packages register the expert provider {point.name!r}; using {found[point.name].value}"
-            warnings.warn(message, stacklevel=2)
-            continue
-        found[point.name] = point
-    return found
+    plugins.register(provider, factory)
 
 
 def providers() -> list[str]:
     """The names of all registered providers."""
-    return sorted({*_entry_points(), *_added})
+    return plugins.names()
+
+
+def factory_of(provider: str) -> Factory:
+    """The factory of a provider.
+
+    Raises:
+        UnknownNameError: nobody registered it; the message suggests the nearest name.
+        ConfigError: it is registered, but its module cannot be loaded.
+    """
+    return plugins.find(provider)
 
 
 def split(spec: str) -> tuple[str, str]:
@@ -64,36 +59,6 @@ def split(spec: str) -> tuple[str, str]:
     if not colon or not provider:
         raise ConfigError(f"an expert is written 'provider:model' (such as 'sam2:tiny'), not {spec!r}")
     return provider, model
-
-
-def factory_of(provider: str) -> Factory:
-    """The factory of a provider.
-
-    Raises:
-        UnknownNameError: nobody registered it; the message suggests the nearest name.
-        ConfigError: it is registered, but its module cannot be loaded.
-    """
-    if provider in _added:
-        return _added[provider]
-    point = _entry_points().get(provider)
-    if point is None:
-        raise UnknownNameError.of("expert provider", provider, providers(), "`a4 models list` shows what there is.")
-    try:
-        return cast(Factory, point.load())
-    except A4Error:
-        raise
-    except Exception as error:
-        message = f"the expert provider {provider!r} ({point.value}) cannot be loaded: {error!r}"
-        warnings.warn(message, stacklevel=2)
-        raise ConfigError(message) from error
-
-
-def settings_of(factory: Factory) -> dict[str, Any] | None:
-    """Names and defaults of an expert's settings; None if it takes any."""
-    parameters = inspect.signature(factory).parameters.values()
-    if any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters):
-        return None
-    return {p.name: p.default for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
 
 
 def inner_experts(spec: str, settings: Mapping[str, Any]) -> dict[Role, tuple[str, dict[str, Any]]]:
