@@ -165,13 +165,16 @@ def test_a_lost_picture_is_named(set_path: Path) -> None:
         load("sim", set_path)[0].truth.alternatives()
 
 
-def test_the_default_set_is_made_once(simulator: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_default_set_is_made_once(
+    simulator: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     from a4agent.sim import make
 
     monkeypatch.setenv("A4_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(sim, "DEFAULT_N", 2)
     first = sim.create()
     assert len(first) == 2
+    assert "rendering the default set of 2 samples once" in caplog.text
     assert first.root.is_relative_to(tmp_path)
     assert [path.name for path in first.root.parent.iterdir()] == [first.root.name]
 

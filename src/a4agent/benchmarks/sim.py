@@ -12,6 +12,7 @@ visible (share of the part that is seen) and size (of the part in the picture).
 
 from __future__ import annotations
 
+import logging
 import os
 from dataclasses import dataclass
 from functools import partial
@@ -26,6 +27,8 @@ from a4agent.benchmarks import files
 from a4agent.benchmarks.base import Benchmark, Sample, Truth
 from a4agent.errors import DataError
 from a4agent.folders import system_cache
+
+log = logging.getLogger("a4agent")
 
 DEFAULT_N, DEFAULT_SEED = 200, 0
 SOURCE = "a4 data make sim --out DIR"
@@ -116,6 +119,7 @@ def default_set() -> Path:
     if not (folder / "set.json").is_file():
         import tempfile
 
+        log.warning("rendering the default set of %d samples once, in a few minutes, into %s", DEFAULT_N, folder)
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".making-") as making:
             made = make_set(Path(making) / "set", n=DEFAULT_N, seed=DEFAULT_SEED, workers=min(2, os.cpu_count() or 1))
