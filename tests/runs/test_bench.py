@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -216,14 +215,6 @@ def test_progress_counts_what_is_there_and_what_is_new(bench: MakeBench) -> None
         seen = [(session.progress.scored, session.progress.failed) for _ in session]
     assert seen == [(20, 4), (20, 4)]
     assert session.progress.giou == pytest.approx(scores.score(read_run(session.folder)).giou)
-
-
-def test_scores_json_is_what_the_run_scored(bench: MakeBench) -> None:
-    run = bench().run(pictures.agent())
-    scores.save(run)
-    kept = json.loads((run.folder / "scores.json").read_text())
-    assert kept["scores"]["giou"] == scores.score(run).giou
-    assert set(kept["groups"]["category"]) == {"kind 0", "kind 1", "kind 2"}
 
 
 def test_an_empty_benchmark_is_a_run_without_records(bench: MakeBench, data: Path) -> None:

@@ -99,23 +99,6 @@ def test_masks_are_brought_to_the_size_of_the_embedded_picture() -> None:
     assert [picture_side(count) for count in (10, 500, 3000)] == [640, 480, 320]
 
 
-def test_outcomes_say_why_a_sample_missed() -> None:
-    def outcome(intersection: int, found: int, truth: int, status: str = "ok") -> str:
-        row = {"intersection": intersection, "union": found + truth - intersection, "status": status}
-        return scores.outcome(Record({**row, "prediction_pixels": found, "truth_pixels": truth}))
-
-    assert outcome(80, 100, 100) == "hit"
-    assert outcome(100, 400, 100) == "too much"
-    assert outcome(100, 100, 400) == "too little"
-    assert outcome(40, 100, 100) == "partly"
-    assert outcome(2, 100, 100) == "elsewhere"
-    assert outcome(0, 0, 100, "empty") == "nothing found"
-    assert outcome(0, 0, 0, "empty") == "hit"
-    assert outcome(0, 0, 100, "error") == "failed"
-    assert outcome(0, 0, 100, "invalid") == "unreadable"
-    assert outcome(50, 5000, 50) == "too much", "all of a small part, and a hundred times as much"
-
-
 def _samples(text: str) -> list[dict[str, Any]]:
     found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
     assert found

@@ -12,7 +12,7 @@ import pytest
 
 import pictures
 from a4agent.benchmarks import registry
-from a4agent.errors import DataError, UnknownNameError
+from a4agent.errors import DataError
 from a4agent.runs import published, scores
 from a4agent.runs.bench import Bench, Selection
 from a4agent.runs.store import Run
@@ -30,19 +30,6 @@ def on(bench: MakeBench, data: Path) -> Callable[..., Run]:
         return bench(f"{name} {shift}", benchmark=benchmark, **more).run(pictures.agent(shift=shift))
 
     return make
-
-
-def test_every_published_table_is_rectangular_and_in_percent() -> None:
-    tables = published.tables()
-    assert [table.number for table in tables.values()] == [1, 2, 3, 4, 5, 6]
-    for table in tables.values():
-        assert all(len(values) == len(table.columns) for values in table.rows.values())
-        assert all(0 <= value <= 100 for values in table.rows.values() for value in values)
-    assert published.table("umd").rows["A4-Agent"] == (65.38, 59.81, 77.31, 43.78)
-    assert published.table("ragnet").rows["AffordanceVLM"] == (38.1, 39.4, 58.3, 58.1, 58.2, 57.8)
-    assert published.table("ablation-stages").rows["Spotter"] == (45.91, 39.82)
-    with pytest.raises(UnknownNameError, match="did you mean 'ragnet'"):
-        published.table("ragnett")
 
 
 def test_our_row_stands_under_the_published_one_of_its_name(on: Callable[..., Run]) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from a4agent.cli import common
+from a4agent.cli import common, scores_text
 from a4agent.cli.bench_progress import Display
 from a4agent.cli.benchmark_data import OptionsOption, RuleOption, opened
 from a4agent.cli.common import ProfileOption, SetOption, messages
@@ -147,7 +147,7 @@ def _run(work: Bench, agent: A4Agent, as_json: bool) -> tuple[Run, int]:
     if run.records:
         scores.save(run)
         if not as_json:
-            show_scores(run)
+            _show_scores(run)
     _tell(progress)
     if isinstance(stopped, KeyboardInterrupt):
         messages.print("interrupted; the same command goes on from here")
@@ -167,21 +167,14 @@ def _tell(progress: Progress) -> None:
         messages.print(f"{progress.stats.asked} model calls made, {progress.stats.saved} answered from the cache")
 
 
-def show_scores(run: Run) -> None:
+def _show_scores(run: Run) -> None:
     """The scores of a run, on stdout."""
-    from a4agent.metrics import MEASURES
     from a4agent.runs import scores
 
     found = scores.score(run)
-    part = f" of {run.planned}" if not run.complete else ""
-    print(
-        f"protocol {found.protocol}  n {found.n}{part}  scored {found.n_scored}  failed {found.n_failed}"
-        f"  empty truth {found.n_empty_truth}  empty prediction {found.n_empty_prediction}  resized {found.n_resized}"
-    )
-    for name, label in MEASURES.items():
-        value, (low, high) = getattr(found, name), found.intervals[name]
-        if value == value:
-            print(f"{label:<8} {100 * value:6.2f}   95% {100 * low:.2f} to {100 * high:.2f}")
+    part = "" if run.complete else f", {len(run.records)} of {run.planned} samples"
+    print(f"{run.manifest.label} on {run.manifest.identity['benchmark']}, protocol {found.protocol}{part}")
+    print("\n".join(scores_text.lines(found)))
 
 
 def _settings_of(system: System, sets: list[str] | None, limits: dict[str, Any]) -> Settings:

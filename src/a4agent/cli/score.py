@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from a4agent.cli import common
+from a4agent.cli import common, scores_text
 from a4agent.cli.benchmark_data import DataOption, NameArgument, OptionsOption, RuleOption, opened
 from a4agent.errors import DataError
 
@@ -104,17 +104,7 @@ def _show(data: Benchmark, whole: Scores, groups: dict[str, Scores]) -> None:
     from a4agent.metrics import MEASURES
 
     print(f"{data.name}, protocol {whole.protocol}, {data.licence}")
-    print(
-        f"n {whole.n}  scored {whole.n_scored}  failed {whole.n_failed}  empty truth {whole.n_empty_truth}  "
-        f"empty prediction {whole.n_empty_prediction}  resized {whole.n_resized}"
-    )
-    for name, label in MEASURES.items():
-        low, high = whole.intervals[name]
-        print(f"{label:<8} {_percent(getattr(whole, name))}   95% {_percent(low)} to {_percent(high)}")
+    print("\n".join(scores_text.lines(whole)))
     for group, scores in sorted(groups.items()):
-        values = "  ".join(f"{label} {_percent(getattr(scores, name))}" for name, label in MEASURES.items())
+        values = "  ".join(f"{label} {scores_text.percent(getattr(scores, name))}" for name, label in MEASURES.items())
         print(f"  {group:<16} n {scores.n:<5} {values}")
-
-
-def _percent(value: float) -> str:
-    return "    -" if value != value else f"{100 * value:5.2f}"
