@@ -202,7 +202,7 @@ def test_who_waits_sees_the_place_in_the_queue(visit: Callable[[], Any]) -> None
         page.fill("#instruction textarea", "drink")
     for page in (first, second):
         page.click("#run")
-    second.wait_for_selector("#message :text-matches('queue', 'i')")
+    second.wait_for_selector("#answer :text-matches('queue', 'i')")
     second.wait_for_selector("#answer figure[data-state=done]")
     assert first.query_selector("#answer figure[data-state=done]")
 

@@ -54,6 +54,8 @@ element.addEventListener('change', event => {
 watch('value', mark);
 mark();
 """
+SHOW_ANSWER = "() => { document.querySelector('#answer').scrollIntoView({behavior: 'smooth', block: 'nearest'}); }"
+"""On a phone the answer is far below the button."""
 HEAD = (
     '<header class="a4-head"><h1>Where do I act?</h1>'
     "<p>Show a photo and say what you want to do: the part to act on comes back, with the reasons.</p></header>"
@@ -157,15 +159,17 @@ def _blocks(gr: Any, profiles: Profiles, profile: str) -> Any:
                     ]
         opacity.input(None, [opacity], None, js=FADE)
         chosen.change(lambda name: gr.update(visible=profiles.dreams(name), value=True), [chosen], [dream], queue=False)
+        asked = [run.click, instruction.submit]
+        gr.on(asked, None, js=SHOW_ANSWER)
         gr.on(
-            [run.click, instruction.submit],
+            asked,
             Visit(profiles).run,
             [photo, instruction, chosen, dream],
             [message, picture, opacity, stages, timings, *files],
             concurrency_id=ONE_AT_A_TIME,
             concurrency_limit=1,
             show_progress="full",
-            show_progress_on=[message],
+            show_progress_on=[picture],
             api_visibility="private",
         )
     return blocks.queue(max_size=MOST_WAITING)
