@@ -13,6 +13,9 @@ import numpy as np
 
 from a4agent.errors import require
 
+MOST = 3.0
+"""The largest piece that may join, of the area of the object so far."""
+
 
 def attached(core: np.ndarray, odd: np.ndarray) -> np.ndarray:
     """`core` with the odd pieces next to it that reach further than a blurred edge would."""
@@ -24,7 +27,7 @@ def attached(core: np.ndarray, odd: np.ndarray) -> np.ndarray:
     size = np.sqrt(core.sum())
     grown = core.copy()
     for piece in _pieces(candidates):
-        if piece.sum() <= core.sum() and away[piece].max() >= 0.08 * size + 3:
+        if piece.sum() <= MOST * core.sum() and away[piece].max() >= 0.08 * size + 3:
             grown |= piece
     return grown
 
@@ -39,7 +42,7 @@ def runs_out(core: np.ndarray, odd: np.ndarray, sides: tuple[bool, bool, bool, b
     for label in np.setdiff1d(labels[core], [0]):
         whole = labels == label
         edges = whole[:, 0].any(), whole[0].any(), whole[:, -1].any(), whole[-1].any()
-        if any(a and b for a, b in zip(edges, sides, strict=True)) and (whole & ~core).sum() < 1.5 * core.sum():
+        if any(a and b for a, b in zip(edges, sides, strict=True)) and (whole & ~core).sum() < MOST * core.sum():
             return True
     return False
 

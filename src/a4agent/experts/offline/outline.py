@@ -10,7 +10,7 @@ import numpy as np
 from a4agent.errors import require
 from a4agent.experts.offline import growth
 from a4agent.experts.offline.boxes import box_around
-from a4agent.experts.offline.colour import palette, to_lab, unlike
+from a4agent.experts.offline.colour import SAME, palette, to_lab, unlike
 
 
 def outline(
@@ -31,12 +31,12 @@ def outline(
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     around = cv2.dilate((sure | prior).astype(np.uint8), disc) > 0
     background = around & (certainty < 0.15) & (cv2.dilate(prior.astype(np.uint8), square, iterations=5) == 0)
-    colours = palette(lab[background])
+    colours = _reaching_the_border(palette(lab[background]), lab)
     if not colours:
         return _main_pieces(sure if sure.any() else prior, sure | prior), np.zeros_like(prior)
     distance = unlike(lab, colours)
     noise = 1.8 * float(np.percentile(distance[background], 85))
-    enough = float(np.clip(noise, 8.0, 14.0))
+    enough = float(np.clip(noise, 6.0, 14.0))
     if by_colour:
         # Where the network fills what colour leaves open, it is the hole of a handle.
         beside = cv2.dilate(prior.astype(np.uint8), square, iterations=3) > 0
@@ -51,6 +51,8 @@ def outline(
     labels = np.where(object_, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     certain = ((certainty > 0.9) | (object_ & ~core)) & (distance > enough)
     labels[cv2.erode(certain.astype(np.uint8), square, iterations=1) > 0] = cv2.GC_FGD
+    seen_twice = ((certainty > 0.97) & prior).astype(np.uint8)
+    labels[cv2.erode(seen_twice, square, iterations=2) > 0] = cv2.GC_FGD
     outside = cv2.dilate(object_.astype(np.uint8), square, iterations=8) == 0
     labels[outside] = cv2.GC_BGD
     labels[(distance < 0.6 * enough) & (certainty < 0.95)] = cv2.GC_PR_BGD
@@ -61,6 +63,14 @@ def outline(
         drawn &= cv2.dilate(seen.astype(np.uint8), square, iterations=2) > 0
         drawn |= sure & cv2.erode(prior.astype(np.uint8), square) > 0
     return _main_pieces(drawn, object_), odd
+
+
+def _reaching_the_border(colours: list[np.ndarray], lab: np.ndarray) -> list[np.ndarray]:
+    """The first background colour and those of the others that the window's border shows: a blade is none."""
+    sides = (lab[:2], lab[-2:], lab[:, :2], lab[:, -2:])
+    border = np.concatenate([side.reshape(-1, 3) for side in sides])
+    shares = [(np.linalg.norm(border - colour, axis=1) < SAME).mean() for colour in colours]
+    return [colour for index, colour in enumerate(colours) if index == 0 or shares[index] > 0.08]
 
 
 def _grab_cut(window: np.ndarray, labels: np.ndarray, region: np.ndarray, start: np.ndarray) -> np.ndarray:
