@@ -51,7 +51,7 @@ def load(settings: Settings) -> A4Agent:
     if settings.name == "offline":
         return A4Agent.from_settings(settings)
     if settings.name == "paper":
-        return scripted_agent("the handle of the mug", dream=True, seconds=0.5)
+        return scripted_agent("the handle of the mug", dream=True, seconds=0.4)
     return scripted_agent(HOSTILE)
 
 
