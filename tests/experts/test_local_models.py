@@ -25,7 +25,8 @@ torch = pytest.importorskip("torch")
 
 MODULES = [
     *("transformers_vlm", "qwen_image_edit", "rex_omni", "rex_tokenizer", "grounding_dino", "owlv2", "sam2", "sam3"),
-    *("local_models", "local_chat", "checkpoints", "random_weights", "open_vocabulary"),
+    *("local_models", "local_chat", "checkpoints", "random_weights", "random_tokenizers"),
+    "open_vocabulary",
 ]
 
 

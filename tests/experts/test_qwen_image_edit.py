@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -168,7 +170,7 @@ def test_output_size_keeps_area_and_proportions(size_wh):
     assert width / height == pytest.approx(size_wh[0] / size_wh[1], rel=0.1)
 
 
-def test_mistakes_are_named(tiny_qwen_image_edit, tiny_sam2, tmp_path):
+def test_mistakes_are_named(tiny_qwen_image_edit, tiny_sam2, tmp_path, monkeypatch):
     folder = str(tiny_qwen_image_edit)
 
     def create(model=folder, **settings):
@@ -182,6 +184,9 @@ def test_mistakes_are_named(tiny_qwen_image_edit, tiny_sam2, tmp_path):
         create(offload="modle")
     with pytest.raises(ConfigError, match="from an accelerator"):
         create(offload="model", device="cpu")
+    monkeypatch.setitem(sys.modules, "bitsandbytes", sys)
+    with pytest.raises(ConfigError, match="needs a GPU"):
+        create(quantisation="4bit", device="cpu")
     with pytest.raises(ConfigError, match="steps"):
         create(steps=0)
     with pytest.raises(ConfigError, match="cannot be spread"):

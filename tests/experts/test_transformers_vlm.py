@@ -1,4 +1,4 @@
-"""A tiny Qwen2.5-VL of the real architecture: answers do not depend on the company they are asked in."""
+"""Tiny VLMs of the real architectures: answers do not depend on the company they are asked in."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ def vlm(tiny_qwen_vl):
     return transformers_vlm.create(str(tiny_qwen_vl), "vlm", max_batch=8)
 
 
-def test_batched_answers_equal_single_ones(vlm, noise):
+@pytest.mark.parametrize("architecture", ["qwen_vl", "qwen3_vl", "internvl3"])
+def test_batched_answers_equal_single_ones(request, architecture, noise):
+    """Greedy answers do not depend on the batch: left padding, positions and image tokens are right for each model."""
+    vlm = transformers_vlm.create(str(request.getfixturevalue(f"tiny_{architecture}")), "vlm", max_batch=8)
     asked = requests(noise)
     together = vlm.chat(asked)
     alone = [vlm.chat([request])[0] for request in asked]
@@ -40,8 +43,8 @@ def test_batched_answers_equal_single_ones(vlm, noise):
     assert lengths == [answer.usage.tokens_out for answer in alone]
     assert len(set(lengths)) > 1  # rows of a batch end at different times
     assert len({answer.text for answer in together}) > 1
-    for request, answer in zip(asked, together, strict=True):
-        assert (answer.usage.tokens_out == request.max_tokens) == (answer.finish_reason == "length")
+    for question, answer in zip(asked, together, strict=True):
+        assert (answer.usage.tokens_out == question.max_tokens) == (answer.finish_reason == "length")
 
 
 def test_an_answer_ends_at_the_end_token_or_says_that_it_was_cut_off(vlm, noise, monkeypatch):

@@ -134,7 +134,7 @@ def load_processor(folder: Path, class_name: str | None = None) -> Any:
         try:
             loader = getattr(transformers, class_name or "AutoProcessor")
             processor = loader.from_pretrained(str(folder), local_files_only=True)
-        except ImportError as error:
+        except (ImportError, ValueError) as error:  # which of them depends on the model's video half
             if "torchvision" not in str(error).lower():
                 raise
             processor = _without_video(transformers, folder, class_name)

@@ -96,6 +96,8 @@ def create(
         raise UnknownNameError.of("offload", offload, OFFLOADS)
     if offload != "none" and placement.device == "cpu":
         raise ConfigError(f"offload = {offload!r} moves weights from an accelerator to the CPU, and there is none here")
+    if quantisation != "none" and placement.device == "cpu":
+        raise ConfigError(f"quantisation = {quantisation!r} of the editor needs a GPU, and there is none here")
     if lightning not in (0, 4, 8):
         raise ConfigError(f"lightning is 0 (off), 4 or 8 steps, not {lightning!r}")
     if (steps is not None and steps < 1) or output_pixels < 32 * 32:

@@ -15,27 +15,78 @@ from pathlib import Path
 from typing import Any
 
 from a4agent.errors import require
-from a4agent.experts.rex_omni_answer import FIRST_COORDINATE_ID, SPECIAL_IDS
-
-_QWEN_SPECIAL = [
-    *("<|endoftext|>", "<|im_start|>", "<|im_end|>", "<|object_ref_start|>", "<|object_ref_end|>", "<|box_start|>"),
-    *("<|box_end|>", "<|quad_start|>", "<|quad_end|>", "<|vision_start|>", "<|vision_end|>", "<|vision_pad|>"),
-    *("<|image_pad|>", "<|video_pad|>"),
-]
-_CHATML = (
-    "{% for message in messages %}{% if loop.first and message['role'] != 'system' %}<|im_start|>system\n"
-    "You are a helpful assistant.<|im_end|>\n{% endif %}<|im_start|>{{ message['role'] }}\n"
-    "{% if message['content'] is string %}{{ message['content'] }}{% else %}{% for part in message['content'] %}"
-    "{% if part['type'] == 'image' %}<|vision_start|><|image_pad|><|vision_end|>"
-    "{% elif 'text' in part %}{{ part['text'] }}{% endif %}{% endfor %}{% endif %}<|im_end|>\n"
-    "{% endfor %}{% if add_generation_prompt %}<|im_start|>assistant\n{% endif %}"
+from a4agent.experts.random_tokenizers import (
+    byte_vocabulary,
+    write_bert_tokenizer,
+    write_clip_tokenizer,
+    write_qwen_tokenizer,
 )
+from a4agent.experts.rex_omni_answer import FIRST_COORDINATE_ID, SPECIAL_IDS
 
 
 def save_qwen_vl(folder: Path, config: Any = None, *, phrases: Sequence[str] = (), seed: int = 0) -> Path:
     """A Qwen2.5-VL whose vocabulary is the 256 bytes, the special tokens, and whole phrases as one token each."""
-    _write_qwen_tokenizer(folder, _byte_vocabulary(), [], {}, _QWEN_SPECIAL, phrases)
-    return _save_qwen_model(folder, config, seed)
+    return _save_qwen_model(folder, config, write_qwen_tokenizer(folder, phrases=phrases), seed)
+
+
+def save_qwen3_vl(folder: Path, config: Any = None, *, seed: int = 0) -> Path:
+    """A Qwen3-VL."""
+    t: Any = require("transformers", extra="local")
+    ids = write_qwen_tokenizer(folder)
+    t.Qwen2VLImageProcessorPil(min_pixels=64 * 64, max_pixels=128 * 128, patch_size=16).save_pretrained(folder)
+    config = config or t.Qwen3VLConfig(
+        text_config={
+            **_tiny_text(ids),
+            "head_dim": 16,
+            "rope_parameters": {"rope_type": "default", "mrope_section": [4, 2, 2], "rope_theta": 1e6},
+        },
+        vision_config={
+            "depth": 2,
+            "hidden_size": 32,
+            "intermediate_size": 64,
+            "num_heads": 4,
+            "out_hidden_size": 64,
+            "patch_size": 16,
+            "num_position_embeddings": 64,
+            "deepstack_visual_indexes": [0, 1],
+        },
+        image_token_id=ids["<|image_pad|>"],
+        video_token_id=ids["<|video_pad|>"],
+        vision_start_token_id=ids["<|vision_start|>"],
+        vision_end_token_id=ids["<|vision_end|>"],
+    )
+    return _save_model(folder, t.Qwen3VLForConditionalGeneration, config, seed)
+
+
+def save_internvl3(folder: Path, config: Any = None, *, seed: int = 0) -> Path:
+    """An InternVL3."""
+    t: Any = require("transformers", extra="local")
+    named = {
+        "start_image_token": "<img>",
+        "end_image_token": "</img>",
+        "context_image_token": "<IMG_CONTEXT>",
+        "video_token": "<video>",
+    }
+    special = ["<|endoftext|>", "<|im_start|>", "<|im_end|>", *named.values()]
+    ids = write_qwen_tokenizer(folder, special=special, named=named, image="<IMG_CONTEXT>\n")
+    t.GotOcr2ImageProcessorPil(size={"height": 56, "width": 56}, max_patches=4).save_pretrained(folder)
+    processor = {"processor_class": "InternVLProcessor", "image_seq_length": 4}
+    (folder / "processor_config.json").write_text(json.dumps(processor), "utf-8")
+    config = config or t.InternVLConfig(
+        text_config={**_tiny_text(ids), "model_type": "qwen2"},
+        vision_config={
+            "hidden_size": 32,
+            "intermediate_size": 64,
+            "num_hidden_layers": 2,
+            "num_attention_heads": 4,
+            "image_size": [56, 56],
+            "patch_size": [14, 14],
+        },
+        image_token_id=ids["<IMG_CONTEXT>"],
+        image_seq_length=4,
+        tie_word_embeddings=False,
+    )
+    return _save_model(folder, t.InternVLForConditionalGeneration, config, seed)
 
 
 def save_rex_omni(folder: Path, config: Any = None, *, seed: int = 0) -> Path:
@@ -44,19 +95,19 @@ def save_rex_omni(folder: Path, config: Any = None, *, seed: int = 0) -> Path:
     The tokenizer's files are as published, trap included: `vocab.json` has ordinary words at the ids of the
     coordinates, which only `tokenizer_config.json` renames.
     """
-    vocabulary = _byte_vocabulary()
+    vocabulary = byte_vocabulary()
     for k in range(len(vocabulary), FIRST_COORDINATE_ID):
         vocabulary[f"unused{k}"] = k
     merges: list[str] = []
-    letters = sorted(_byte_vocabulary())[:32]
+    letters = sorted(byte_vocabulary())[:32]
     for k in range(1000):
         left, right = letters[k // 32], letters[k % 32]
         vocabulary[left + right] = FIRST_COORDINATE_ID + k
         merges.append(f"{left} {right}")
     coordinates = {FIRST_COORDINATE_ID + k: f"<{k}>" for k in range(1000)}
     assert len(vocabulary) == SPECIAL_IDS["<|endoftext|>"]
-    _write_qwen_tokenizer(folder, vocabulary, merges, coordinates, _QWEN_SPECIAL)
-    return _save_qwen_model(folder, config, seed)
+    ids = write_qwen_tokenizer(folder, vocabulary, merges, renamed=coordinates)
+    return _save_qwen_model(folder, config, ids, seed)
 
 
 def save_sam2(folder: Path, config: Any = None, *, seed: int = 0) -> Path:
@@ -111,7 +162,7 @@ def save_sam3_tracker(folder: Path, config: Any = None, *, seed: int = 0) -> Pat
 def save_sam3(folder: Path, config: Any = None, *, seed: int = 0) -> Path:
     """SAM 3's detector: the half that takes a phrase."""
     t: Any = require("transformers", extra="local")
-    _write_clip_tokenizer(folder, length=32)
+    write_clip_tokenizer(folder, length=32)
     if config is None:
         small = {"hidden_size": 32, "num_attention_heads": 2}
         config = t.Sam3Config(
@@ -128,7 +179,7 @@ def save_sam3(folder: Path, config: Any = None, *, seed: int = 0) -> Path:
 def save_grounding_dino(folder: Path, config: Any = None, *, mm: bool = False, seed: int = 0) -> Path:
     """A Grounding DINO, or an MM-Grounding-DINO."""
     t: Any = require("transformers", extra="local")
-    _write_bert_tokenizer(folder)
+    write_bert_tokenizer(folder)
     t.GroundingDinoImageProcessorPil(size={"shortest_edge": 96, "longest_edge": 128}).save_pretrained(folder)
     if config is None:
         config = (t.MMGroundingDinoConfig if mm else t.GroundingDinoConfig)(
@@ -162,7 +213,7 @@ def save_grounding_dino(folder: Path, config: Any = None, *, mm: bool = False, s
 def save_owlv2(folder: Path, config: Any = None, *, seed: int = 0) -> Path:
     """An OWLv2."""
     t: Any = require("transformers", extra="local")
-    _write_clip_tokenizer(folder, length=16)
+    write_clip_tokenizer(folder, length=16)
     t.Owlv2ImageProcessorPil(size={"height": 32, "width": 32}).save_pretrained(folder)
     if config is None:
         vision = {"hidden_size": 32, "intermediate_size": 37, "num_hidden_layers": 2, "num_attention_heads": 4}
@@ -224,23 +275,12 @@ def save_qwen_image_edit(folder: Path, *, transformer: Any = None, vae: Any = No
     return folder
 
 
-def _save_qwen_model(folder: Path, config: Any, seed: int) -> Path:
+def _save_qwen_model(folder: Path, config: Any, ids: dict[str, int], seed: int) -> Path:
     t: Any = require("transformers", extra="local")
-    tokenizer = json.loads((folder / "tokenizer_config.json").read_text("utf-8"))
-    ids = {token["content"]: int(number) for number, token in tokenizer["added_tokens_decoder"].items()}
     config = config or t.Qwen2_5_VLConfig(
         text_config={
-            "vocab_size": max(ids.values()) + 3,
-            "hidden_size": 64,
-            "intermediate_size": 128,
-            "num_hidden_layers": 2,
-            "num_attention_heads": 4,
-            "num_key_value_heads": 2,
-            "max_position_embeddings": 4096,
+            **_tiny_text(ids),
             "rope_parameters": {"rope_type": "default", "mrope_section": [2, 3, 3], "rope_theta": 1e6},
-            "bos_token_id": ids["<|endoftext|>"],
-            "eos_token_id": ids["<|im_end|>"],
-            "pad_token_id": ids["<|endoftext|>"],
         },
         vision_config={
             "depth": 2,
@@ -254,7 +294,7 @@ def _save_qwen_model(folder: Path, config: Any, seed: int) -> Path:
             "window_size": 112,
             "fullatt_block_indexes": [1],
         },
-        tie_word_embeddings=len(ids) > 1000,  # Rex-Omni's 152 thousand tokens are tied in the published model too
+        tie_word_embeddings=max(ids.values()) > 100_000,  # Rex-Omni's tokens, tied in the published model too
         image_token_id=ids["<|image_pad|>"],
         video_token_id=ids["<|video_pad|>"],
         vision_start_token_id=ids["<|vision_start|>"],
@@ -264,6 +304,21 @@ def _save_qwen_model(folder: Path, config: Any, seed: int) -> Path:
         min_pixels=56 * 56, max_pixels=112 * 112, processor_class="Qwen2_5_VLProcessor"
     ).save_pretrained(folder)
     return _save_model(folder, t.Qwen2_5_VLForConditionalGeneration, config, seed)
+
+
+def _tiny_text(ids: dict[str, int]) -> dict[str, Any]:
+    return {
+        "vocab_size": max(ids.values()) + 3,
+        "hidden_size": 64,
+        "intermediate_size": 128,
+        "num_hidden_layers": 2,
+        "num_attention_heads": 4,
+        "num_key_value_heads": 2,
+        "max_position_embeddings": 4096,
+        "bos_token_id": ids["<|endoftext|>"],
+        "eos_token_id": ids["<|im_end|>"],
+        "pad_token_id": ids["<|endoftext|>"],
+    }
 
 
 def _save_model(folder: Path, cls: Any, config: Any, seed: int) -> Path:
@@ -303,53 +358,3 @@ def _tiny_clip_text() -> dict[str, Any]:
         "bos_token_id": 512,
         "eos_token_id": 513,
     }
-
-
-def _byte_vocabulary() -> dict[str, int]:
-    """The 256 characters that stand for bytes in byte-level tokenizers, in order."""
-    shown = [*range(33, 127), *range(161, 173), *range(174, 256)]
-    hidden = [byte for byte in range(256) if byte not in shown]
-    return {chr(code): k for k, code in enumerate([*shown, *(256 + k for k in range(len(hidden)))])}
-
-
-def _write_qwen_tokenizer(
-    folder: Path,
-    vocabulary: dict[str, int],
-    merges: list[str],
-    renamed: dict[int, str],
-    special: list[str],
-    phrases: Sequence[str] = (),
-) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    added = {**renamed, **{len(vocabulary) + k: name for k, name in enumerate([*special, *phrases])}}
-    flags = {"lstrip": False, "normalized": False, "rstrip": False, "single_word": False}
-    config: dict[str, Any] = {
-        "tokenizer_class": "Qwen2Tokenizer",
-        "added_tokens_decoder": {
-            str(number): {"content": name, "special": name not in phrases, **flags} for number, name in added.items()
-        },
-        "eos_token": "<|im_end|>",
-        "pad_token": "<|endoftext|>",
-        "additional_special_tokens": special[1:],
-        "model_max_length": 32768,
-    }
-    (folder / "vocab.json").write_text(json.dumps(vocabulary, ensure_ascii=False), "utf-8")
-    (folder / "merges.txt").write_text("\n".join(["#version: 0.2", *merges]) + "\n", "utf-8")
-    (folder / "tokenizer_config.json").write_text(json.dumps(config), "utf-8")
-    (folder / "chat_template.jinja").write_text(_CHATML, "utf-8")
-
-
-def _write_clip_tokenizer(folder: Path, length: int) -> None:
-    t: Any = require("transformers", extra="local")
-    characters = list(_byte_vocabulary())
-    words = [*characters, *(f"{c}</w>" for c in characters), "<|startoftext|>", "<|endoftext|>"]
-    t.CLIPTokenizer(
-        vocab={word: k for k, word in enumerate(words)}, merges=[], model_max_length=length
-    ).save_pretrained(folder)
-
-
-def _write_bert_tokenizer(folder: Path) -> None:
-    t: Any = require("transformers", extra="local")
-    letters = "abcdefghijklmnopqrstuvwxyz"
-    words = ["[PAD]", "[UNK]", "[CLS]", "[SEP]", "[MASK]", ".", *letters, *(f"##{c}" for c in letters)]
-    t.BertTokenizer(vocab={word: k for k, word in enumerate(words)}).save_pretrained(folder)
