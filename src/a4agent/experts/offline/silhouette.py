@@ -63,7 +63,8 @@ def find_object(rgb: np.ndarray, threads: int = 0) -> Silhouette | None:
     picture = cv2.resize(rgb, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA) if shrink < 1 else rgb
     if int(picture.max()) - int(picture.min()) < 8:
         return None
-    blob = _largest(saliency(picture, threads))
+    seen = saliency(picture, threads)
+    blob = _largest(seen)
     thing = _innermost(picture, np.ones(picture.shape[:2], bool) if blob is None else blob)
     if blob is None:
         if thing is None:
@@ -71,16 +72,19 @@ def find_object(rgb: np.ndarray, threads: int = 0) -> Silhouette | None:
         blob = thing
     if thing is None and blob.mean() > 0.15 and not _is_whole(blob):
         blob = _centre_of(picture, blob, threads)
-    found = cut_out(picture, blob if thing is None else thing, threads, by_colour=thing is not None)
+    found = cut_out(picture, blob if thing is None else thing, threads, seen, by_colour=thing is not None)
     return Silhouette(_scaled(found.box_xyxy, 1 / shrink, width, height), found.mask, found.lab)
 
 
-def cut_out(rgb: np.ndarray, rough: np.ndarray, threads: int = 0, by_colour: bool = False) -> Silhouette:
+def cut_out(
+    rgb: np.ndarray, rough: np.ndarray, threads: int = 0, seen: np.ndarray | None = None, by_colour: bool = False
+) -> Silhouette:
     """The object that a rough mask (H, W) bool, not blank, marks, in its window.
 
-    `by_colour` says that the mask was found by its colour and may be trusted in detail.
+    `seen` is what the network said (H, W) of the whole picture, if it was asked. `by_colour` says that the
+    mask was found by its colour and may be trusted in detail.
     """
-    certainty = _look(rgb, rough, threads)
+    certainty = _look(rgb, rough, threads, seen)
     found, cut_off = _in_window(rgb, rough, certainty, MARGIN, by_colour)
     if not cut_off:
         return found
@@ -89,12 +93,14 @@ def cut_out(rgb: np.ndarray, rough: np.ndarray, threads: int = 0, by_colour: boo
     whole = wide.to_image(wide.mask, (rgb.shape[1], rgb.shape[0]))
     if not whole.any():
         return found
-    return _in_window(rgb, whole, _look(rgb, whole, threads), MARGIN, by_colour=True)[0]
+    return _in_window(rgb, whole, _look(rgb, whole, threads, seen), MARGIN, by_colour=True)[0]
 
 
-def _look(rgb: np.ndarray, rough: np.ndarray, threads: int) -> np.ndarray:
+def _look(rgb: np.ndarray, rough: np.ndarray, threads: int, seen: np.ndarray | None) -> np.ndarray:
     """What the network says (H, W) float32 of the surroundings of a rough mask."""
     x0, y0, x1, y1 = box_around(rough, LOOK)
+    if seen is not None and (x1 - x0) * (y1 - y0) > 0.75 * rough.size:
+        return seen  # a closer look would show the same
     certainty = np.zeros(rough.shape, np.float32)
     certainty[y0:y1, x0:x1] = saliency(np.ascontiguousarray(rgb[y0:y1, x0:x1]), threads)
     return certainty
