@@ -13,7 +13,10 @@ PIP := $(BIN)/pip install -q --disable-pip-version-check
 .PHONY: demo test check system docs perf clean
 
 demo: .venv/.demo
-	@$(BIN)/a4 predict examples/coffee.jpg "lift the cup" --profile offline --out out/demo
+	@echo 'a photograph: a4 predict examples/coffee.jpg "fill the cup"'
+	@$(BIN)/a4 predict examples/coffee.jpg "fill the cup" --profile offline --out out/demo
+	@echo 'a scene of the simulator benchmark: a4 predict examples/sim/images/0001-mug.jpg "pick up the mug by its handle"'
+	@$(BIN)/a4 predict examples/sim/images/0001-mug.jpg "pick up the mug by its handle" --profile offline --out out/demo
 
 test: .venv/.test system check
 
