@@ -7,6 +7,8 @@ import json
 import os
 import re
 import shutil
+import urllib.request
+import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -182,6 +184,36 @@ def test_errors_are_sentences(visit: Callable[[], Any], tmp_path: Path) -> None:
     page.click("#run")
     page.wait_for_selector(f"{alert}:has-text('This photo cannot be used')")
     assert "Traceback" not in page.content()
+
+
+def call_queue(url: str, inputs: list[Any]) -> dict[str, Any]:
+    """What the page's main action answers to inputs that no browser would send."""
+
+    def send(path: str, body: dict[str, Any] | None = None) -> Any:
+        data = None if body is None else json.dumps(body).encode()
+        return urllib.request.urlopen(
+            urllib.request.Request(url + path, data, {"Content-Type": "application/json"}), timeout=30
+        )
+
+    with send("/config") as answer:
+        action = next(row["id"] for row in json.load(answer)["dependencies"] if len(row["inputs"]) == len(inputs))
+    session = uuid.uuid4().hex
+    send("/gradio_api/queue/join", {"data": inputs, "fn_index": action, "session_hash": session}).close()
+    with send(f"/gradio_api/queue/data?session_hash={session}") as events:
+        for line in events:
+            if line.startswith(b"data:") and (event := json.loads(line[5:]))["msg"] == "process_completed":
+                return event
+    raise AssertionError("no answer")
+
+
+@pytest.mark.parametrize("slot", [0, 1, 2])
+@pytest.mark.parametrize("path", [str(PHOTO), "/etc/hostname", "http://127.0.0.1:9/a.png", "https://example.org/a.png"])
+def test_a_file_of_the_server_or_an_address_is_not_taken_for_an_upload(url: str, slot: int, path: str) -> None:
+    inputs: list[Any] = [None, "open it", "offline", True]
+    inputs[slot] = {"path": path, "meta": {"_type": "gradio.FileData"}}
+    event = call_queue(url, inputs)
+    assert not event["success"]
+    assert re.search("not uploaded by a user|fetches no addresses", event["output"]["error"])
 
 
 def test_what_a_model_writes_is_text(visit: Callable[[], Any]) -> None:

@@ -8,7 +8,7 @@ Built with gradio. The predictions of all visitors are one queue, one at a time;
 from __future__ import annotations
 
 import os
-from collections.abc import AsyncGenerator, Callable, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -91,13 +91,14 @@ def create_page(
         yield
         profiles.close()
 
+    blocks = _blocks(gr, profiles, profile)
     app = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, middleware=[Middleware(_Policy)])
     theme = gr.themes.Base(
         primary_hue="rose", neutral_hue="slate", font=FONTS, font_mono=["ui-monospace", "monospace"], radius_size="lg"
     )
-    return gr.mount_gradio_app(
+    mounted = gr.mount_gradio_app(
         app,
-        _blocks(gr, profiles, profile),
+        blocks,
         path="/",
         auth=auth,
         theme=theme,
@@ -106,7 +107,13 @@ def create_page(
         max_file_size="32mb",
         ssr_mode=False,
         run_history=False,
+        allowed_paths=[str(HERE / "examples")],
     )
+    # gradio asks whether a file was uploaded by its visitor only of pages that it believes to be launched.
+    blocks.has_launched = True
+    for block in blocks.blocks.values():
+        block.async_move_resource_to_block_cache = _no_addresses(gr, block.async_move_resource_to_block_cache)
+    return mounted
 
 
 def _blocks(gr: Any, profiles: Profiles, profile: str) -> Any:
@@ -178,6 +185,17 @@ def _blocks(gr: Any, profiles: Profiles, profile: str) -> Any:
 def _path(payload: Any) -> str | None:
     """The uploaded file as it came: gradio would open it here, where an error is no sentence."""
     return payload.path if payload else None
+
+
+def _no_addresses(gr: Any, move: Callable[[Any], Awaitable[Any]]) -> Callable[[Any], Awaitable[Any]]:
+    """Refuse what gradio would fetch for a caller; what is left was uploaded or is an example."""
+
+    async def uploaded(path: Any) -> Any:
+        if "://" in str(path):
+            raise gr.Error("This page fetches no addresses; upload the photo.")
+        return await move(path)
+
+    return uploaded
 
 
 def _examples() -> list[list[str]]:
