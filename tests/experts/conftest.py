@@ -55,6 +55,59 @@ tiny_owlv2 = _fixture("owlv2")
 tiny_qwen_image_edit = _fixture("qwen_image_edit")
 
 
+SMALL_MEMORY = {
+    "memory_attention_hidden_size": 32,
+    "memory_attention_feed_forward_hidden_size": 64,
+    "memory_encoder_hidden_size": 32,
+    "memory_encoder_output_channels": 16,
+    "mask_downsampler_embed_dim": 32,
+    "memory_fuser_embed_dim": 32,
+    "memory_fuser_intermediate_dim": 64,
+}
+
+
+def _parts(config: Any) -> dict[str, Any]:
+    names = ("vision_config", "prompt_encoder_config", "mask_decoder_config")
+    return {name: getattr(config, name).to_dict() for name in names}
+
+
+@pytest.fixture(scope="session")
+def tiny_sam2_video(tmp_path_factory: pytest.TempPathFactory, tiny_sam2: Path) -> Path:
+    """SAM 2 as it is published: a model for video, of which pictures need a part."""
+    import torch
+    import transformers
+
+    folder = tmp_path_factory.mktemp("checkpoints") / "sam2-video"
+    image = transformers.Sam2Config.from_pretrained(tiny_sam2)
+    torch.manual_seed(0)
+    config = transformers.Sam2VideoConfig(**_parts(image), image_size=64, **SMALL_MEMORY)
+    transformers.Sam2VideoModel(config).save_pretrained(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def tiny_sam3_video(tmp_path_factory: pytest.TempPathFactory, tiny_sam3: Path, tiny_sam3_tracker: Path) -> Path:
+    """SAM 3 as it is published: detector and tracker in one checkpoint for video."""
+    import torch
+    import transformers
+    from safetensors.torch import load_file, save_file
+
+    folder = tmp_path_factory.mktemp("checkpoints") / "sam3-video"
+    detector = transformers.Sam3Config.from_pretrained(tiny_sam3)
+    tracker = transformers.Sam3TrackerConfig.from_pretrained(tiny_sam3_tracker)
+    video = transformers.Sam3TrackerVideoConfig(**_parts(tracker), image_size=112, **SMALL_MEMORY)
+    torch.manual_seed(0)
+    config = transformers.Sam3VideoConfig(detector_config=detector.to_dict(), tracker_config=video.to_dict())
+    transformers.Sam3VideoModel(config).save_pretrained(folder)
+    weights = load_file(folder / "model.safetensors")
+    twice = "tracker_model.tracker_model."  # how transformers 5.23 saves what is published with the prefix once
+    weights = {name.replace(twice, "tracker_model."): value for name, value in weights.items()}
+    save_file(weights, folder / "model.safetensors", {"format": "pt"})
+    for file in tiny_sam3.glob("tokenizer*"):
+        (folder / file.name).write_bytes(file.read_bytes())
+    return folder
+
+
 PHRASE = "the handle of the mug"
 BINS = ((100, 200, 700, 800), (0, 0, 500, 999))
 POINT = (400, 500)

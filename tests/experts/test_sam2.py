@@ -92,6 +92,19 @@ def test_agrees_with_the_library_one_prompt_at_a_time(tiny_sam2, noise):
         assert ours.predicted_iou[k, 0] == pytest.approx(float(output.iou_scores[0, 0, best]), abs=1e-6)
 
 
+def test_the_published_kind_of_checkpoint_is_one_for_video(tiny_sam2_video, noise, recwarn, capfd):
+    from safetensors.torch import load_file
+
+    segmenter = sam2.create(str(tiny_sam2_video), "segmenter")
+    assert segmenter.segment([SegmentRequest(noise(80, 48), PROMPTS)])[0].masks.shape == (6, 1, 48, 80)
+    assert segmenter.checkpoint.kind == "sam2_video"
+    saved, ours = load_file(tiny_sam2_video / "model.safetensors"), segmenter._model.state_dict()
+    assert all((saved[name] == ours[name]).all() for name in ours if name in saved)
+    assert len(ours.keys() & saved.keys()) > 0.9 * len(ours)
+    assert not recwarn.list
+    assert "You are using a model of type" not in capfd.readouterr().err
+
+
 def test_preprocessing_is_that_of_the_checkpoints_processor(noise):
     """Resize with antialias, then ImageNet's mean and deviation; against Pillow, which shares no code with it."""
     image = noise(90, 50)

@@ -71,6 +71,22 @@ def test_as_segmenter_it_takes_boxes_and_points(tiny_sam3_tracker, noise):
         np.testing.assert_array_equal(alone.masks[0], together.masks[k])
 
 
+def test_the_published_checkpoint_plays_both_roles(tiny_sam3_video, noise, recwarn):
+    from safetensors.torch import load_file
+
+    saved = load_file(tiny_sam3_video / "model.safetensors")
+    segmenter = sam3.create(str(tiny_sam3_video), "segmenter")
+    prompts = (Prompt(np.array([5, 5, 40, 40], np.float32)),)
+    assert segmenter.segment([SegmentRequest(noise(80, 48), prompts)])[0].masks.shape == (1, 1, 48, 80)
+    name = "mask_decoder.conv_s0.weight"
+    assert torch.equal(segmenter._model.state_dict()[name], saved[f"tracker_model.{name}"])
+    detector = sam3.create(str(tiny_sam3_video), "detector", threshold=0.0)
+    assert detector.detect([DetectRequest(noise(80, 48), "handle")])[0].masks.shape == (12, 48, 80)
+    name = "text_projection.weight"
+    assert torch.equal(detector._model.state_dict()[name], saved[f"detector_model.{name}"])
+    assert not recwarn.list
+
+
 def test_mistakes_are_named(tiny_sam3, tiny_sam2):
     with pytest.raises(ModelFilesError, match="is a checkpoint of 'sam2'; 'sam3' or 'sam3_video'"):
         sam3.create(str(tiny_sam2), "detector")

@@ -12,7 +12,8 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -146,9 +147,10 @@ def load_pretrained(cls: Any, checkpoint: Checkpoint, placement: Placement, **op
     check_fits(checkpoint.folder, placement)
     options = {**_from_pretrained_options(placement), **options}
     try:
-        model, found = cls.from_pretrained(
-            str(checkpoint.folder), local_files_only=True, output_loading_info=True, **options
-        )
+        with _quiet_transformers():
+            model, found = cls.from_pretrained(
+                str(checkpoint.folder), local_files_only=True, output_loading_info=True, **options
+            )
         if "device_map" not in options:
             model = model.to(placement.device)
     except Exception as error:
@@ -159,6 +161,18 @@ def load_pretrained(cls: Any, checkpoint: Checkpoint, placement: Placement, **op
         raise ModelFilesError(f"{str(checkpoint.folder)!r} cannot be loaded as {cls.__name__}: {error}") from error
     _check_nothing_invented(checkpoint, model, found)
     return model.eval()
+
+
+@contextmanager
+def _quiet_transformers() -> Iterator[None]:
+    """Without its page of warnings on weights left out, as of a video model that is used for images; we check."""
+    logging: Any = require("transformers.utils.logging", extra="local")
+    before = logging.get_verbosity()
+    logging.set_verbosity_error()
+    try:
+        yield
+    finally:
+        logging.set_verbosity(before)
 
 
 def _from_pretrained_options(placement: Placement) -> dict[str, Any]:
