@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shutil
+import urllib.error
 import urllib.request
 import uuid
 from collections.abc import Callable, Iterator
@@ -214,6 +215,14 @@ def test_a_file_of_the_server_or_an_address_is_not_taken_for_an_upload(url: str,
     event = call_queue(url, inputs)
     assert not event["success"]
     assert re.search("not uploaded by a user|fetches no addresses", event["output"]["error"])
+
+
+def test_another_sites_page_cannot_use_it_through_the_browser(url: str) -> None:
+    for headers in ({"Host": "evil.example"}, {"Origin": "https://evil.example"}):
+        with pytest.raises(urllib.error.HTTPError) as caught:
+            urllib.request.urlopen(urllib.request.Request(f"{url}/config", headers=headers), timeout=30)
+        assert caught.value.code == 403
+        caught.value.close()
 
 
 def test_what_a_model_writes_is_text(visit: Callable[[], Any]) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI
+from starlette.datastructures import Headers
 from starlette.middleware import Middleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -22,6 +23,9 @@ from a4agent.availability import Missing, check_settings
 from a4agent.config import Settings, profile_names
 from a4agent.errors import require
 from a4agent.serve import cards
+from a4agent.serve.auth import check as check_caller
+from a4agent.serve.door import refuse
+from a4agent.serve.limits import Refused
 from a4agent.serve.profiles import Profiles
 from a4agent.serve.visit import Visit
 
@@ -92,7 +96,9 @@ def create_page(
         profiles.close()
 
     blocks = _blocks(gr, profiles, profile)
-    app = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, middleware=[Middleware(_Policy)])
+    app = FastAPI(
+        lifespan=lifespan, docs_url=None, redoc_url=None, middleware=[Middleware(_Guard, open_to_all=auth is None)]
+    )
     theme = gr.themes.Base(
         primary_hue="rose", neutral_hue="slate", font=FONTS, font_mono=["ui-monospace", "monospace"], radius_size="lg"
     )
@@ -202,11 +208,12 @@ def _examples() -> list[list[str]]:
     return [[str(HERE / "examples" / name), instruction] for name, instruction in EXAMPLES]
 
 
-class _Policy:
-    """Adds the content security policy to every answer."""
+class _Guard:
+    """Adds the content security policy to every answer; without a password, answers only this machine's own pages."""
 
-    def __init__(self, app: ASGIApp) -> None:
+    def __init__(self, app: ASGIApp, open_to_all: bool) -> None:
         self.app = app
+        self.open_to_all = open_to_all
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def guarded(message: Message) -> None:
@@ -214,4 +221,10 @@ class _Policy:
                 message["headers"] = [*message["headers"], (b"content-security-policy", POLICY.encode())]
             await send(message)
 
+        if scope["type"] == "http" and self.open_to_all:
+            try:
+                check_caller(None, scope["path"], Headers(scope=scope))
+            except Refused as refused:
+                await refuse(refused)(scope, receive, guarded)
+                return
         await self.app(scope, receive, guarded)
