@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Hashable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -164,7 +164,7 @@ def load_pretrained(cls: Any, checkpoint: Checkpoint, placement: Placement, **op
 
 
 @contextmanager
-def _quiet_transformers() -> Iterator[None]:
+def _quiet_transformers() -> Generator[None, None, None]:
     """Without its page of warnings on weights left out, as of a video model that is used for images; we check."""
     logging: Any = require("transformers.utils.logging", extra="local")
     before = logging.get_verbosity()
