@@ -79,21 +79,22 @@ def _outline(blob: np.ndarray, strict: bool) -> np.ndarray | None:
     cv2 = require("cv2", extra="offline")
     pad = 12
     solid = cv2.morphologyEx(np.pad(blob.astype(np.uint8), pad), cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
-    outline = _largest(solid[pad:-pad, pad:-pad])
-    if outline is not None and strict:
-        # Whatever touches the sheet's corners is cut off before its shape is judged.
-        side = max(3, int(0.16 * np.sqrt(cv2.contourArea(outline))))
-        filled = cv2.drawContours(np.zeros(blob.shape, np.uint8), [outline], -1, 1, -1)
-        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-        outline = _largest(cv2.morphologyEx(filled, cv2.MORPH_OPEN, kernel))
-        if outline is not None:
-            hull = cv2.convexHull(outline)
-            corners = cv2.approxPolyDP(hull, 0.04 * cv2.arcLength(hull, True), True)
-            if len(corners) != 4 or not 0.9 < cv2.contourArea(outline) / max(cv2.contourArea(corners), 1.0) < 1.16:
-                return None
-    if outline is None or cv2.contourArea(outline) / cv2.contourArea(cv2.convexHull(outline)) < 0.96:
+    whole = _largest(solid[pad:-pad, pad:-pad])
+    if whole is None:
         return None
-    return outline
+    # Whatever hangs on to its corners and edges is cut off before the shape is judged.
+    side = max(3, int((0.16 if strict else 0.08) * np.sqrt(cv2.contourArea(whole))))
+    filled = cv2.drawContours(np.zeros(blob.shape, np.uint8), [whole], -1, 1, -1)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    outline = _largest(cv2.morphologyEx(filled, cv2.MORPH_OPEN, kernel))
+    if outline is None:
+        return None
+    area, hull = cv2.contourArea(outline), cv2.convexHull(outline)
+    if strict:
+        corners = cv2.approxPolyDP(hull, 0.04 * cv2.arcLength(hull, True), True)
+        if len(corners) != 4 or not 0.9 < area / max(cv2.contourArea(corners), 1.0) < 1.16:
+            return None
+    return outline if area >= 0.96 * cv2.contourArea(hull) else None
 
 
 def _largest(mask: np.ndarray) -> np.ndarray | None:
