@@ -9,14 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from a4agent import prompts
 from a4agent.errors import UnreadableAnswer
 from a4agent.experts.base import ChatAnswer, ChatRequest
 from a4agent.experts.offline import create
 from a4agent.experts.offline.reasoner import dreamer_task, thinker_task
+from a4agent.prompts import fill
 
-ONE = 'Given the image of an object, the task is ... provided task. The task instruction is "{}". \nThe image is ...'
-TWO = 'Given the image ... The task instruction is "{}". \nThe first image is the original image of the object. ...'
-DREAM = 'You are an "Imagination-driven Image-Editing Prompt Writer".\n...\nThe given TASK is: {}'
+ONE, TWO, DREAM = (prompts.load("paper", name) for name in ("thinker_one_image", "thinker", "dreamer"))
 
 
 def ask(text: str) -> str:
@@ -27,7 +27,7 @@ def ask(text: str) -> str:
 
 @pytest.mark.parametrize("template", [ONE, TWO])
 def test_the_thinkers_form(template: str) -> None:
-    answer = ask(template.format("open the refrigerator"))
+    answer = ask(fill(template, "open the refrigerator"))
     assert answer.startswith("### Thinking\n")
     output = json.loads(answer.partition("### Output")[2])
     assert output == {
@@ -39,13 +39,13 @@ def test_the_thinkers_form(template: str) -> None:
 
 @pytest.mark.parametrize("instruction", ["translate this letter", "abre la puerta"])
 def test_no_answer_is_an_empty_part_and_stays_one(instruction: str) -> None:
-    first, second = ask(TWO.format(instruction)), ask(TWO.format(instruction))
+    first, second = ask(fill(TWO, instruction)), ask(fill(TWO, instruction))
     assert first == second
     assert json.loads(first.partition("### Output")[2])["object_part"] == ""
 
 
 def test_the_dreamers_form() -> None:
-    prompt = ask(DREAM.format("drink from the mug"))
+    prompt = ask(fill(DREAM, "drink from the mug"))
     assert prompt.startswith("Edit the input image to ")
     assert prompt.endswith("keep others unchanged")
     assert "the handle of the mug" in prompt
@@ -53,7 +53,7 @@ def test_the_dreamers_form() -> None:
 
 
 def test_the_dreamer_is_answered_even_where_the_part_is_not_known() -> None:
-    prompt = ask(DREAM.format("translate this"))
+    prompt = ask(fill(DREAM, "translate this"))
     assert prompt.startswith("Edit the input image to ")
     assert prompt.endswith("keep others unchanged")
 
@@ -68,16 +68,16 @@ def test_another_prompt_is_refused_with_the_way_out() -> None:
 def test_the_task_comes_out_of_the_templates_as_it_went_in(task: str) -> None:
     if '". ' in task or '".\n' in task:
         return  # looks like the end of the task
-    assert thinker_task(TWO.format(task)) == task.strip()
-    assert dreamer_task(DREAM.format(task)) == task.strip().strip('"')
+    assert thinker_task(fill(TWO, task)) == task.strip()
+    assert dreamer_task(fill(DREAM, task)) == task.strip().strip('"')
 
 
 @given(st.text())
 def test_it_has_an_answer_to_everything(task: str) -> None:
-    assert "### Output" in ask(TWO.format(task.replace('"', "'")))
+    assert "### Output" in ask(fill(TWO, task.replace('"', "'")))
 
 
 def test_a_batch_keeps_its_order() -> None:
     tasks = ["hold the spoon", "hold the fork", "hold the knife"]
-    answers = create("reasoner", "vlm").chat([ChatRequest(images=(), text=TWO.format(task)) for task in tasks])
+    answers = create("reasoner", "vlm").chat([ChatRequest(images=(), text=fill(TWO, task)) for task in tasks])
     assert [json.loads(a.text.partition("### Output")[2])["object_name"] for a in answers] == ["spoon", "fork", "knife"]

@@ -15,7 +15,7 @@ import numpy as np
 from a4agent.errors import require
 from a4agent.experts.offline import growth
 from a4agent.experts.offline.boxes import Box, box_around
-from a4agent.experts.offline.colour import to_lab
+from a4agent.experts.offline.colour import to_lab, well_lit
 from a4agent.experts.offline.outline import outline
 from a4agent.experts.offline.saliency import saliency
 from a4agent.experts.offline.surfaces import innermost
@@ -63,6 +63,7 @@ def find_object(rgb: np.ndarray, threads: int = 0) -> Silhouette | None:
     picture = cv2.resize(rgb, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA) if shrink < 1 else rgb
     if int(picture.max()) - int(picture.min()) < 8:
         return None
+    picture = well_lit(picture)
     seen = saliency(picture, threads)
     blob = _largest(seen)
     thing = _innermost(picture, np.ones(picture.shape[:2], bool) if blob is None else blob)
