@@ -147,9 +147,29 @@ def test_the_cache_is_one_switch_and_tells_what_it_saved(a4: Type, tmp_path: Pat
     a4(*BENCH, "--out", "first", *cache)
     _, _, err = a4(*BENCH, "--out", "second", "--set", "spotter.pairing=paper", *cache)
     assert "answered from the cache" in err
+    assert "detector " in err
+    assert "8 saved" in err, "each expert says what the cache saved of it"
     good = [record for record in read_run("second").records.values() if record.status == "ok"]
     asked_again = {step["role"] for record in good for step in record.row["trace"] if not step["cached"]}
     assert asked_again <= {"segmenter"}, "the pairing changes the segmenter's prompts and nothing before it"
+
+
+def test_a_refused_row_has_no_score_and_stops_nothing(a4: Type) -> None:
+    with Path("data/samples.jsonl").open("a") as file:
+        file.write('{"id": "out", "image": "../../passwd", "mask": "../../passwd", "instruction": "lift it"}\n')
+    code, out, err = a4(*BENCH, "--out", "run")
+    assert code == 1
+    assert "sample 'sample 10' has no score" in err
+    assert "not inside" in err
+    assert "10 of 11 samples" in out
+    assert len(read_run("run").records) == 10
+
+
+def test_a_sample_that_takes_too_long_is_an_error_of_its_own(a4: Type) -> None:
+    Path("slow.toml").write_text(killable.PROFILE.replace("SECONDS", "5.0"))
+    slow = ("bench", "folder", "--data", "data", "--profile", "slow.toml", "--limit", "1", "--out", "run")
+    assert a4(*slow, "--max-sample-seconds", "0.2")[0] == 1
+    assert "max_sample_seconds" in next(iter(read_run("run").records.values())).row["error"]
 
 
 def test_the_live_line_says_how_far_it_is() -> None:

@@ -44,11 +44,11 @@ def test_missing_ones_fail_and_strays_are_named(data: Path, tmp_path: Path, caps
     assert a4(*arguments) == 1
 
     printed = capsys.readouterr()
-    assert "2 samples have no prediction" in printed.err
+    assert "no prediction for 2 of 3 samples" in printed.err
     assert "00001-mgu.v1" in printed.err
     assert "n 3  scored 3  failed 2" in printed.out
     assert "gIoU     33.33" in printed.out
-    assert f"{layouts.SECRET}       n 3" in printed.out
+    assert f"{layouts.SECRET}  n 3" in printed.out
 
 
 def test_a_protocol_may_drop_what_strict_counts(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -53,6 +53,9 @@ def bench(
     cache: Annotated[str | None, typer.Option(help="off, read or write: reuse answers kept on disk.")] = None,
     max_cost: Annotated[float | None, typer.Option(help="Stop at this many US dollars; run again to go on.")] = None,
     max_seconds: Annotated[float | None, typer.Option(help="Stop after this long; run again to go on.")] = None,
+    max_sample_seconds: Annotated[
+        float | None, typer.Option(help="Give a sample up after this long; it is an error, the run goes on.")
+    ] = None,
     engine: Annotated[
         Literal["local", "ray"], typer.Option(help="local: threads here. ray: Ray Data, on one machine or many.")
     ] = "local",
@@ -68,7 +71,12 @@ def bench(
     from a4agent.runs.suites import load_suite
     from a4agent.runs.tables import fill
 
-    limits = {"engine__cache": cache, "engine__max_cost": max_cost, "engine__max_seconds": max_seconds}
+    limits = {
+        "engine__cache": cache,
+        "engine__max_cost": max_cost,
+        "engine__max_seconds": max_seconds,
+        "engine__max_sample_seconds": max_sample_seconds,
+    }
     plan: dict[str, Any] = {
         "selection": Selection(limit, shuffle),
         "protocol": protocol,
@@ -105,13 +113,11 @@ def _run_all(systems: Sequence[Sequence[Bench]], as_json: bool) -> tuple[list[Ru
 
     In a suite, a system that cannot be run does not keep the others from it.
     """
-    from a4agent.agent import A4Agent
-
     runs: list[Run] = []
     worst = common.OK
     for works in systems:
         try:
-            with A4Agent.from_settings(works[0].settings) as agent:
+            with _agent(works[0]) as agent:
                 for work in works:
                     run, code = _run(work, agent, as_json)
                     runs += [run] if run.records else []
@@ -123,6 +129,13 @@ def _run_all(systems: Sequence[Sequence[Bench]], as_json: bool) -> tuple[list[Ru
                 raise
             worst = max(worst, common.fail(error))
     return runs, worst
+
+
+def _agent(work: Bench) -> A4Agent:
+    """The agent to run. On Ray the models are on other machines: here its experts only say what they are."""
+    from a4agent.agent import A4Agent
+
+    return A4Agent.from_settings(work.settings) if work.engine == "ray" else common.build_agent(work.settings)
 
 
 def _run(work: Bench, agent: A4Agent, as_json: bool) -> tuple[Run, int]:
@@ -150,7 +163,7 @@ def _run(work: Bench, agent: A4Agent, as_json: bool) -> tuple[Run, int]:
             _show_scores(run)
     _tell(progress)
     if isinstance(stopped, KeyboardInterrupt):
-        messages.print("interrupted; the same command goes on from here")
+        messages.print("interrupted" + ("" if run.complete else "; the same command goes on from here"))
         return run, common.INTERRUPTED
     if stopped is not None:
         return run, common.fail(stopped)
@@ -158,13 +171,17 @@ def _run(work: Bench, agent: A4Agent, as_json: bool) -> tuple[Run, int]:
 
 
 def _tell(progress: Progress) -> None:
-    """What should not go unnoticed, and what the cache saved."""
+    """What should not go unnoticed, and what each model was asked."""
     for id, reason in list(progress.unscored.items())[:SHOWN]:
         common.warn(f"sample {id!r} has no score: {reason}")
     if len(progress.unscored) > SHOWN:
         common.warn(f"{len(progress.unscored)} samples have no score; `a4 data check` lists what is wrong")
-    if progress.stats.saved:
-        messages.print(f"{progress.stats.asked} model calls made, {progress.stats.saved} answered from the cache")
+    stats = progress.stats
+    if stats.asked or stats.saved:
+        saved = f", {stats.saved} answered from the cache" if stats.saved else ""
+        messages.print(f"model calls: {stats.asked} made{saved}")
+        for line in stats.lines():
+            messages.print(f"  {line}", soft_wrap=True, highlight=False)
 
 
 def _show_scores(run: Run) -> None:

@@ -58,7 +58,7 @@ def check(
     from a4agent.benchmarks.check import check as check_all
 
     data = opened(benchmark, path, rule, option)
-    with Progress(console=common.messages, transient=True) as progress:
+    with Progress(console=common.messages, transient=True, disable=not common.messages.is_terminal) as progress:
         task = progress.add_task("reading", total=len(data))
         found = check_all(data, lambda _: progress.advance(task))
     if as_json:
@@ -116,7 +116,8 @@ def _show(data: Benchmark, found: Check) -> None:
         ("fingerprint", data.digest),
     ]
     for name, value in lines:
-        print(f"{name:<12} {value}")
+        if value:
+            print(f"{name:<12} {value}")
     for problem in found.problems[:SHOWN]:
         print(f"  {problem.id}: {problem.kind}: {problem.message}")
     if len(found.problems) > SHOWN:
@@ -124,4 +125,4 @@ def _show(data: Benchmark, found: Check) -> None:
     if found.ok:
         print("all there")
     else:
-        print(f"not complete; get what is missing from: {data.source}")
+        print("not complete" + (f"; get what is missing from: {data.source}" if data.source else ""))

@@ -50,7 +50,7 @@ def score(
     metrics.protocol_of(protocol)
     masks = Predictions(predictions)
     outcomes: list[Outcome] = []
-    with Progress(console=common.messages, transient=True) as progress:
+    with Progress(console=common.messages, transient=True, disable=not common.messages.is_terminal) as progress:
         task = progress.add_task("scoring", total=len(opened_data))
         for outcome in score_predictions(opened_data, masks):
             outcomes.append(outcome)
@@ -84,11 +84,13 @@ def _report_problems(outcomes: list[Outcome], masks: Predictions) -> None:
             + (f"; found {', '.join(strays[:3])}" if strays else "")
         )
     if missing:
-        common.warn(f"{len(missing)} samples have no prediction and count as failed: {_some(missing)}")
+        common.warn(
+            f"no prediction for {len(missing)} of {len(outcomes)} samples, which count as failed: {_some(missing)}"
+        )
     for problem in [outcome.problem for outcome in outcomes if outcome.problem not in ("", MISSING)][:SHOWN]:
         common.warn(problem)
     if strays:
-        common.warn(f"{len(strays)} predictions are for no sample: {_some(strays)}")
+        common.warn(f"predictions for no sample: {len(strays)} ({_some(strays)})")
 
 
 def _some(names: list[str]) -> str:
@@ -105,6 +107,7 @@ def _show(data: Benchmark, whole: Scores, groups: dict[str, Scores]) -> None:
 
     print(f"{data.name}, protocol {whole.protocol}, {data.licence}")
     print("\n".join(scores_text.lines(whole)))
+    width = max(map(len, groups), default=0)
     for group, scores in sorted(groups.items()):
         values = "  ".join(f"{label} {scores_text.percent(getattr(scores, name))}" for name, label in MEASURES.items())
-        print(f"  {group:<16} n {scores.n:<5} {values}")
+        print(f"  {group:<{width}}  n {scores.n:<5} {values}")

@@ -19,7 +19,7 @@ def lines(scores: Scores) -> list[str]:
     return [
         counts,
         *(
-            f"{label:<8} {percent(getattr(scores, name))}   95% {percent(low)} to {percent(high)}"
+            f"{label:<8}{percent(getattr(scores, name))}   95% {percent(low)} to {percent(high)}"
             for name, label in MEASURES.items()
             for low, high in [scores.intervals[name]]
         ),
@@ -28,4 +28,4 @@ def lines(scores: Scores) -> list[str]:
 
 def percent(value: float) -> str:
     """A share of 1 in percent, "-" where it is not defined."""
-    return "    -" if value != value else f"{100 * value:5.2f}"
+    return "     -" if value != value else f"{100 * value:6.2f}"

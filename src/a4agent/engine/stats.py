@@ -31,6 +31,15 @@ class ExpertStats:
     unpriced: int = 0
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False, compare=False)
 
+    def words(self) -> str:
+        """ "200 asked in 25 calls, 800 saved, 3 retried, 41.6 s, $0.3700"; what did not happen is left out."""
+        parts = [f"{self.asked} asked in {self.batches} calls"] if self.asked else []
+        counts = {"saved": self.saved, "retried": self.retries, "failed": self.failures}
+        parts += [f"{count} {name}" for name, count in counts.items() if count]
+        parts += [f"{self.seconds:.1f} s"] if self.asked else []
+        parts += [f"${self.cost:.4f}"] if self.cost else []
+        return ", ".join(parts)
+
     def count_call(self, requests: int, seconds: float) -> None:
         with self._lock:
             self.asked += requests
@@ -101,9 +110,5 @@ class Stats:
                 expert.count_answer(Usage(cached=step.cached, cost=step.cost))
 
     def lines(self) -> list[str]:
-        """For people: one line an expert."""
-        return [
-            f"{e.role:9} {e.id}: {e.asked} asked in {e.batches} calls, {e.saved} saved, {e.retries} retried,"
-            f" {e.failures} failed, {e.seconds:.1f} s" + (f", ${e.cost:.4f}" if e.cost else "")
-            for e in self.experts.values()
-        ]
+        """For people: one line for each expert that had something to do."""
+        return [f"{e.role:9} {e.id}: {e.words()}" for e in self.experts.values() if e.asked or e.saved]

@@ -52,7 +52,7 @@ class Progress:
     """How far a run is. `scored` of `planned` samples have a record, `failed` of them are invalid or errors.
 
     This session is to ask for `to_ask` samples and has `asked` some; `cost` is in US dollars, of this session.
-    `unscored` maps the ids of samples whose truth could not be read to the reason; they have no record.
+    `unscored` maps samples whose row was refused or whose truth could not be read to the reason; they have no record.
     """
 
     planned: int
@@ -190,7 +190,11 @@ class Session:
 
         def queries() -> Iterator[Query]:
             for index in self._indices:
-                sample = benchmark[index]
+                try:
+                    sample = benchmark[index]
+                except UserError as error:  # a row that is refused, such as a picture outside of the dataset
+                    self.progress.unscored[f"sample {index}"] = str(error)
+                    continue
                 if sample.id in in_flight:
                     raise DataError(f"two samples of {benchmark.name!r} have the same id {sample.id!r}")
                 if self._writer.wants(sample.id):
