@@ -40,8 +40,9 @@ PHOTO = HERE / "examples" / EXAMPLES[0][0]
 
 pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (apt-get install chromium)"),
-    # gradio 6.31 counts its own events with an option that pandas 3 deprecates.
+    # gradio 6.31 counts its own events with an option and an argument that pandas 3 deprecates.
     pytest.mark.filterwarnings("ignore:'future.no_silent_downcasting' is deprecated"),
+    pytest.mark.filterwarnings("ignore:The copy keyword is deprecated"),
 ]
 
 
