@@ -5,17 +5,15 @@
 Without --data: the default set of 200, made in the cache at first use. Printed as Markdown, with 95 %
 intervals, and the profile's scores by each tag of the samples:
 
-    the profile                         its own thinking, detection and masks
-    the profile, told the phrase        as if its Thinker were perfect
-    its segmenter, told the boxes       as if its Thinker and Detector were perfect
     the whole object                    the mask of the object that the part belongs to
     a random part                       one side of a random straight cut through the object
+    the profile                         its own thinking, detection and masks
+    its segmenter, told the boxes       as if its Thinker and Detector were perfect
 """
 
 from __future__ import annotations
 
 import argparse
-import time
 from pathlib import Path
 
 import numpy as np
@@ -38,27 +36,23 @@ def main() -> None:
     benchmark = sim.create(arguments.data)
     samples = [benchmark[index] for index in range(min(arguments.limit or len(benchmark), len(benchmark)))]
     objects = [files.read_mask(benchmark.root / row.object_mask) for row in sim.read_rows(benchmark.root)]
-    started = time.perf_counter()
-    with A4Agent.from_profile(arguments.profile) as agent:
-        rows = {
-            f"`{arguments.profile}`": [ask(agent, sample, None) for sample in samples],
-            f"`{arguments.profile}`, told the phrase": [ask(agent, s, given_of(s, "thinker")) for s in samples],
-            "its segmenter, told the boxes": [ask(agent, s, given_of(s, "detector")) for s in samples],
-        }
-    seconds = (time.perf_counter() - started) / (3 * len(samples))
     pairs = list(zip(samples, objects, strict=False))
-    rows["the whole object"] = [measure(sample, whole) for sample, whole in pairs]
     rng = np.random.default_rng(0)
-    rows["a random part"] = [measure(sample, random_part(whole, rng)) for sample, whole in pairs]
 
-    print(f"{benchmark.name}, {len(samples)} samples, {benchmark.options}, {seconds:.2f} s a prediction\n")
+    print(f"{benchmark.name}, {len(samples)} samples, {benchmark.options}\n")
     print("| system | gIoU | cIoU | P@50 | P@50:95 | failed |\n|---|---|---|---|---|---|")
-    for name, scored in rows.items():
-        print(line(name, scored))
+    print(line("the whole object", [measure(sample, whole) for sample, whole in pairs]))
+    print(line("a random part", [measure(sample, random_part(whole, rng)) for sample, whole in pairs]))
+    with A4Agent.from_profile(arguments.profile) as agent:
+        asked = [ask(agent, sample, None) for sample in samples]
+        print(line(f"`{arguments.profile}`", asked))
+        told = [ask(agent, sample, given_of(sample, "detector")) for sample in samples]
+        print(line(f"`{arguments.profile}`'s segmenter, told the boxes", told))
+
     print("\n| tag | value | samples | gIoU | P@50 |\n|---|---|---|---|---|")
     for tag in samples[0].truth.tags:
         values = [sample.truth.tags[tag] for sample in samples]
-        for value, scores in sorted(metrics.score_by(rows[f"`{arguments.profile}`"], values).items()):
+        for value, scores in sorted(metrics.score_by(asked, values).items()):
             print(f"| {tag} | {value} | {scores.n} | {cell(scores, 'giou')} | {cell(scores, 'p50')} |")
 
 

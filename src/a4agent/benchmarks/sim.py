@@ -122,7 +122,7 @@ def default_set() -> Path:
         log.warning("rendering the default set of %d samples once, in a few minutes, into %s", DEFAULT_N, folder)
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".making-") as making:
-            made = make_set(Path(making) / "set", n=DEFAULT_N, seed=DEFAULT_SEED, workers=min(2, os.cpu_count() or 1))
+            made = make_set(Path(making) / "set", n=DEFAULT_N, seed=DEFAULT_SEED)
             try:
                 made.rename(folder)
             except OSError:
