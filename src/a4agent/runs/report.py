@@ -149,7 +149,7 @@ def _embedded(path: Path, side: int) -> str:
             image.draft("RGB", (side, side))
             image.thumbnail((side, side), Image.Resampling.HAMMING)
             buffer = io.BytesIO()
-            image.convert("RGB").save(buffer, "JPEG", quality=80)
+            image.convert("RGB").save(buffer, "WEBP", quality=75, method=2)  # half of a JPEG's bytes
     except OSError:
         return ""
     return base64.b64encode(buffer.getvalue()).decode("ascii")

@@ -102,7 +102,7 @@ function picture(name) {
   }
   return decoded.get(name);
 }
-const address = (name) => `data:image/jpeg;base64,${$(`p-${name}`).textContent}`;
+const address = (name) => `data:image/webp;base64,${$(`p-${name}`).textContent}`;
 
 // Run lengths down the columns, background first, to one byte a pixel.
 function unpack(runs, count) {
