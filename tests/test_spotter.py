@@ -101,3 +101,9 @@ def test_a_given_detection_is_not_asked_for() -> None:
     (region,) = Spotter(detector, ScriptedSegmenter()).locate(PHOTO, "x", detection=found([[0, 0, 4, 4]]))
     assert region.mask.sum() == 16
     assert not detector.requests
+
+
+def test_a_confidence_that_is_no_number_is_no_score() -> None:
+    answer = Segmentation(np.ones((1, 1, 48, 64), bool), np.full((1, 1), np.nan, np.float32))
+    (region,) = Spotter(ScriptedDetector([found([[0, 0, 9, 9]])]), ScriptedSegmenter([answer])).locate(PHOTO, "x")
+    assert region.score is None

@@ -69,10 +69,15 @@ class Spotter:
                 box_xyxy=prompt.box_xyxy,
                 points_xy=prompt.points_xy,
                 mask=mask,
-                score=float(quality if scores is None or box is None else scores[box]),
+                score=_score(quality if scores is None or box is None else scores[box]),
             )
             for prompt, (box, _), mask, quality in zip(prompts, pairs, masks, predicted_iou, strict=True)
         )
+
+
+def _score(value: float) -> float | None:
+    """A model that has no number for its confidence has no score."""
+    return float(value) if np.isfinite(value) else None
 
 
 def _clean(detection: Detection, size_wh: tuple[int, int]) -> Detection:
