@@ -82,19 +82,20 @@ def _outline(blob: np.ndarray, strict: bool) -> np.ndarray | None:
     whole = _largest(solid[pad:-pad, pad:-pad])
     if whole is None:
         return None
-    # Whatever hangs on to its corners and edges is cut off before the shape is judged.
-    side = max(3, int((0.16 if strict else 0.08) * np.sqrt(cv2.contourArea(whole))))
     filled = cv2.drawContours(np.zeros(blob.shape, np.uint8), [whole], -1, 1, -1)
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    outline = _largest(cv2.morphologyEx(filled, cv2.MORPH_OPEN, kernel))
-    if outline is None:
-        return None
-    area, hull = cv2.contourArea(outline), cv2.convexHull(outline)
-    if strict:
+    # Whatever hangs on to its corners and edges is cut off before the shape is judged.
+    for brush in (0.16,) if strict else (0.08, 0.35):
+        side = max(3, int(brush * np.sqrt(cv2.contourArea(whole))))
+        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+        outline = _largest(cv2.morphologyEx(filled, cv2.MORPH_OPEN, kernel))
+        if outline is None or (brush > 0.3 and cv2.contourArea(outline) < 0.87 * cv2.contourArea(whole)):
+            continue
+        area, hull = cv2.contourArea(outline), cv2.convexHull(outline)
         corners = cv2.approxPolyDP(hull, 0.04 * cv2.arcLength(hull, True), True)
-        if len(corners) != 4 or not 0.9 < area / max(cv2.contourArea(corners), 1.0) < 1.16:
-            return None
-    return outline if area >= 0.96 * cv2.contourArea(hull) else None
+        four = len(corners) == 4 and 0.9 < area / max(cv2.contourArea(corners), 1.0) < 1.16
+        if area >= 0.96 * cv2.contourArea(hull) and (four or not strict):
+            return outline
+    return None
 
 
 def _largest(mask: np.ndarray) -> np.ndarray | None:
