@@ -192,9 +192,9 @@ class SamSegmenter(LocalExpert):
 def to_square(image: Image, side: int, mean: Sequence[float], std: Sequence[float]) -> Any:
     """An RGB image as the (1, 3, side, side) float32 tensor that SAM's encoders take (squeezed, not padded)."""
     torch: Any = require("torch", extra="local")
-    pixels = torch.from_numpy(np.array(image.convert("RGB"))).permute(2, 0, 1)[None].float()
-    pixels = torch.nn.functional.interpolate(pixels, size=(side, side), mode="bilinear", antialias=True)
-    pixels = pixels.round().clamp(0, 255) / 255
+    pixels = torch.from_numpy(np.array(image.convert("RGB"))).permute(2, 0, 1)[None]
+    # In whole numbers, as the checkpoints' processors resize: in floats a fifth of the pixels would differ by one.
+    pixels = torch.nn.functional.interpolate(pixels, size=(side, side), mode="bilinear", antialias=True).float() / 255
     return (pixels - torch.tensor(mean).view(3, 1, 1)) / torch.tensor(std).view(3, 1, 1)
 
 
