@@ -114,6 +114,15 @@ def test_preprocessing_is_that_of_the_checkpoints_processor(noise):
     assert np.abs(tensor - expected).max() < 1.01 / 255 / 0.224
 
 
+def test_preprocessing_equals_the_librarys_processor(tiny_sam2, noise):
+    pytest.importorskip("torchvision")
+    from transformers import Sam2ImageProcessor
+
+    image = noise(300, 170)
+    expected = Sam2ImageProcessor()(images=image, return_tensors="pt")["pixel_values"]
+    assert (sam2.to_square(image, 1024, *sam2.IMAGENET) - expected).abs().max() < 1e-6
+
+
 def test_an_image_is_encoded_once(tiny_sam2, noise, monkeypatch):
     segmenter = sam2.create(str(tiny_sam2), "segmenter")
     encoded, decoded = count_calls(segmenter, monkeypatch)
