@@ -50,11 +50,11 @@ def measure(runs: int) -> dict[str, float]:
     pictures = [photo.rotate(angle, resample=Image.Resampling.BILINEAR) for angle in range(runs + 1)]
     with A4Agent.from_profile("offline") as agent:
         # Another picture each time: nothing kept from the last one may help.
-        figures["predict, in process"] = median(runs, lambda: agent.predict(pictures.pop(), "lift the cup"))
+        figures["predict, in process"] = median(runs, lambda: agent.predict(pictures.pop(), "fill the cup"))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "photo.png")
         photo.save(path)
-        arguments = ["predict", str(path), "lift the cup", "--profile", "offline", "--out", folder]
+        arguments = ["predict", str(path), "fill the cup", "--profile", "offline", "--out", folder]
         figures["a4 predict, cold"] = median(runs, command("-m", "a4agent.cli.main", *arguments))
     return figures
 

@@ -14,7 +14,7 @@ from a4agent.experts import registry
 from a4agent.experts.base import Role
 
 EXTRAS: Mapping[str, tuple[str, ...]] = {
-    "offline": ("onnxruntime", "skimage", "cv2"),
+    "offline": ("onnxruntime", "cv2"),
     "api": ("openai",),
     "local": ("torch", "transformers", "diffusers", "accelerate"),
     "bench": ("datasets", "pyarrow", "jinja2"),
