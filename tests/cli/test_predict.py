@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -131,3 +134,33 @@ def test_names_are_short_unique_and_whole() -> None:
     assert len({name.lower() for name in names}) == len(paths)
     assert names["pan.jpg"] == Path("pan.jpg")
     assert names["b_mug.png"] == Path("b/mug.png")
+
+
+SLOW = """
+import sys
+from a4agent.cli.main import main
+from a4agent.experts import registry
+from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, output
+
+makers = {"vlm": lambda **more: ScriptedVLM(lambda asked: output("the handle"), **more),
+          "detector": ScriptedDetector, "segmenter": ScriptedSegmenter}
+registry.register("mine", lambda model, role: makers[model](seconds=0.2))
+main(sys.argv[1:])
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_an_interrupt_saves_what_is_in_flight_and_exits_with_130(tmp_path: Path) -> None:
+    for number in range(60):
+        Image.new("RGB", (64, 48), (number, 0, 0)).save(tmp_path / "photos" / f"{number}.png")
+    arguments = [sys.executable, "-c", SLOW, "predict", "photos", "drink", "--json"]
+    process = subprocess.Popen(arguments, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    first = process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    rest, said = process.communicate(timeout=60)
+    answered = [json.loads(line) for line in [first, *rest.splitlines()]]
+    assert process.returncode == 130, said
+    assert "Traceback" not in said
+    assert 1 <= len(answered) < 60
+    assert all(Path(tmp_path, line["out"], "affordance.json").exists() for line in answered)
