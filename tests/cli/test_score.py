@@ -88,3 +88,13 @@ def test_no_samples(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
     assert a4("score", "folder", "--predictions", tmp_path, "--data", tmp_path) == 2
     assert "no samples" in capsys.readouterr().err
+
+
+def test_masks_are_kept_as_a_run_of_that_name(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    layouts.mask(tmp_path / "theirs" / "00000-mug.v1.png", (0, 1, 6, 5))
+    run = tmp_path / "run"
+    kept = ("--out", run, "--label", "LISA-7B")
+    assert a4("score", "folder", "--predictions", tmp_path / "theirs", "--data", data, *kept) == 1
+    assert f"kept as a run in {run}" in capsys.readouterr().err
+    assert a4("tables", run, "--format", "csv") == 0
+    assert "folder,LISA-7B,scored here,33.33" in capsys.readouterr().out

@@ -34,7 +34,7 @@ def on(bench: MakeBench, data: Path) -> Callable[..., Run]:
 
 def test_our_row_stands_under_the_published_one_of_its_name(on: Callable[..., Run]) -> None:
     (table,) = fill([on("umd", label="Seg-Zero")])
-    names = [(line.name, line.ours) for line in table.lines]
+    names = [(line.name, line.source == "ours") for line in table.lines]
     assert names.index(("Seg-Zero", True)) == names.index(("Seg-Zero", False)) + 1
     assert [name for name, ours in names if not ours] == list(published.table("umd").rows)
 
@@ -43,7 +43,7 @@ def test_a_cell_is_the_runs_score_in_percent(on: Callable[..., Run]) -> None:
     run = on("umd")
     (table,) = fill([run])
     found = scores.score(run)
-    ours = next(line for line in table.lines if line.ours)
+    ours = next(line for line in table.lines if line.source == "ours")
     assert [cell.value for cell in ours.cells] == [
         100 * value for value in (found.giou, found.ciou, found.p50, found.p50_95)
     ]
@@ -55,7 +55,7 @@ def test_a_cell_is_the_runs_score_in_percent(on: Callable[..., Run]) -> None:
 def test_one_system_on_several_benchmarks_is_one_row(on: Callable[..., Run]) -> None:
     runs = [on("ragnet-3doi"), on("ragnet-handal-hard"), on("ragnet-3doi", shift=5)]
     (table,) = fill(runs)
-    ours = [line for line in table.lines if line.ours]
+    ours = [line for line in table.lines if line.source == "ours"]
     assert len(ours) == 2
     assert [cell.value is None for cell in ours[0].cells] == [False, False, True, True, False, False]
     assert [cell.value is None for cell in ours[1].cells] == [False, False, True, True, True, True]
@@ -76,7 +76,7 @@ TABLE = Filled(
     "A & B",
     ("gIoU", "cIoU"),
     2,
-    (Line("50% of_it|", (Cell(12.345), Cell(None))), Line("ours", (Cell(50.0, 2.34), Cell(1.0)), ours=True)),
+    (Line("50% of_it|", (Cell(12.345), Cell(None))), Line("ours", (Cell(50.0, 2.34), Cell(1.0)), "ours")),
     ("10% left out",),
 )
 

@@ -37,7 +37,7 @@ class Predictions:
         self._root: Path | None = None
         if path.is_dir():
             self._root = path.resolve()
-            for file in sorted([*path.glob("*.json"), *path.glob("*.jsonl")]):
+            for file in self._tables(self._root):
                 self._read(file)
         elif path.is_file():
             self._read(path)
@@ -66,6 +66,17 @@ class Predictions:
             pictures = self._root.rglob(f"*{PICTURES}")
             found |= {file.relative_to(self._root).as_posix().removesuffix(PICTURES) for file in pictures}
         return sorted(found - set(known))
+
+    def digest(self) -> str:
+        """A sha256 over all the files: other predictions, another digest."""
+        root = self._root or self.path.parent
+        found = [self.path] if self._root is None else [*root.rglob(f"*{PICTURES}"), *self._tables(root)]
+        named = sorted((file.relative_to(root).as_posix(), file) for file in found)
+        return files.digest(part for name, file in named for part in (name, file.read_bytes()))
+
+    @staticmethod
+    def _tables(root: Path) -> list[Path]:
+        return sorted([*root.glob("*.json"), *root.glob("*.jsonl")])
 
     def _picture(self, identity: str) -> Path | None:
         if self._root is None:

@@ -30,6 +30,12 @@ def score(
     protocol: Annotated[str | None, typer.Option(help="strict, affordance-r1, affordance-r1-umd or ragnet.")] = None,
     rule: RuleOption = None,
     option: OptionsOption = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Keep them as a run folder, for report, compare and tables.")
+    ] = None,
+    label: Annotated[
+        str | None, typer.Option(help="The system's name in those, such as LISA-7B; else that of the predictions.")
+    ] = None,
     by_category: Annotated[bool, typer.Option("--by-category", help="Also score each category.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
@@ -41,7 +47,7 @@ def score(
 
     from a4agent import metrics
     from a4agent.benchmarks.predictions import Predictions
-    from a4agent.runs.external import score_predictions
+    from a4agent.runs.external import score_predictions, write_run
 
     opened_data = opened(benchmark, data, rule, option)
     if not len(opened_data):
@@ -57,6 +63,9 @@ def score(
             progress.advance(task)
     _report_problems(outcomes, masks)
     rows = [outcome.row for outcome in outcomes]
+    if out is not None:
+        write_run(opened_data, masks, out, name=label or masks.path.stem, protocol=protocol)
+        common.messages.print(f"kept as a run in {out}/", soft_wrap=True, highlight=False)
     whole = metrics.score(rows, protocol)
     groups = metrics.score_by(rows, [outcome.category for outcome in outcomes], protocol) if by_category else {}
     if as_json:

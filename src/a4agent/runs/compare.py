@@ -50,7 +50,11 @@ def compare(first: Run, second: Run, protocol: str | None = None) -> Pair:
         result = metrics.compare(scores.rows_of(first), scores.rows_of(second), protocol)
     except DataError as error:
         raise DataError(f"{first.name} and {second.name}: {error}") from error
-    changed = differences(_configuration(first), _configuration(second))
+    configurations = [_configuration(run) for run in (first, second)]
+    if first.external or second.external:  # of another system only its name is known
+        for run, found in zip((first, second), configurations, strict=True):
+            found.update(settings=None, experts=None, prompts=None, system=run.manifest.label)
+    changed = differences(configurations[0], configurations[1])
     return Pair(first, second, result, tuple(changed))
 
 

@@ -131,6 +131,11 @@ class Run:
         return int(self.manifest.identity["selection"]["samples"])
 
     @property
+    def external(self) -> bool:
+        """Whether the masks are another system's; see `external.write_run`."""
+        return "predictions" in self.manifest.identity
+
+    @property
     def complete(self) -> bool:
         return len(self.records) >= self.planned
 

@@ -24,6 +24,7 @@ from a4agent.runs.published import OURS, Table
 from a4agent.runs.store import Run
 
 Form = Literal["markdown", "latex", "csv"]
+Source = Literal["published", "ours", "scored here"]
 FORMS: tuple[Form, ...] = ("markdown", "latex", "csv")
 
 
@@ -37,11 +38,11 @@ class Cell:
 
 @dataclass(frozen=True)
 class Line:
-    """One row of a table."""
+    """One row of a table. `source` is "published", "ours", or "scored here": another system's masks, our scores."""
 
     name: str
     cells: tuple[Cell, ...]
-    ours: bool = False
+    source: Source = "published"
 
 
 @dataclass(frozen=True)
@@ -86,8 +87,8 @@ def fill(runs: Sequence[Run], key: str | None = None, labels: Mapping[str, str] 
 def _filled(table: Table, runs: Sequence[Run], labels: Mapping[str, str]) -> Filled:
     theirs = [Line(name, tuple(Cell(value) for value in values)) for name, values in table.rows.items()]
     ours = [
-        Line(name, tuple(_cell(run_of.get(column.benchmark), column.measure) for column in table.columns), ours=True)
-        for name, run_of in _systems(runs, labels)
+        Line(name, tuple(_cell(run_of.get(column.benchmark), column.measure) for column in table.columns), source)
+        for name, source, run_of in _systems(runs, labels)
     ]
     return Filled(
         title=f"Table {table.number} of {published.SOURCE}: {table.title}",
@@ -100,23 +101,24 @@ def _filled(table: Table, runs: Sequence[Run], labels: Mapping[str, str]) -> Fil
 
 def _alone(benchmark: str, runs: Sequence[Run], labels: Mapping[str, str]) -> Filled:
     lines = [
-        Line(name, tuple(_cell(run_of[benchmark], measure) for measure in metrics.MEASURES), ours=True)
-        for name, run_of in _systems(runs, labels)
+        Line(name, tuple(_cell(run_of[benchmark], measure) for measure in metrics.MEASURES), source)
+        for name, source, run_of in _systems(runs, labels)
     ]
     return Filled(benchmark, tuple(metrics.MEASURES.values()), 2, tuple(lines), tuple(_notes(runs)))
 
 
-def _systems(runs: Iterable[Run], labels: Mapping[str, str]) -> list[tuple[str, dict[str, Run]]]:
-    """(label, run by benchmark) of each system; the second run of one benchmark starts a row of its own."""
-    rows: list[tuple[str, str, dict[str, Run]]] = []
+def _systems(runs: Iterable[Run], labels: Mapping[str, str]) -> list[tuple[str, Source, dict[str, Run]]]:
+    """(label, source, run by benchmark) of each system; the second run of one benchmark starts a row of its own."""
+    rows: list[tuple[str, str, Source, dict[str, Run]]] = []
     for run in runs:
         system = run.manifest.system
-        row = next((found for key, _, found in rows if key == system and _benchmark(run) not in found), None)
+        row = next((found for key, _, _, found in rows if key == system and _benchmark(run) not in found), None)
         if row is None:
             row = {}
-            rows.append((system, labels.get(system, run.manifest.label), row))
+            source: Source = "scored here" if run.external else "ours"
+            rows.append((system, labels.get(system, run.manifest.label), source, row))
         row[_benchmark(run)] = run
-    return [(label, row) for _, label, row in rows]
+    return [(label, source, row) for _, label, source, row in rows]
 
 
 def _beside(theirs: Sequence[Line], ours: Sequence[Line]) -> list[Line]:
@@ -180,7 +182,7 @@ def _markdown(table: Filled) -> str:
 
     rows = [["Model", *table.columns]]
     for line in table.lines:
-        name = f"**{escaped(line.name)}** (ours)" if line.ours else escaped(line.name)
+        name = escaped(line.name) if line.source == "published" else f"**{escaped(line.name)}** ({line.source})"
         rows.append([name, *(_number(cell, table.decimals, "±") for cell in line.cells)])
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = [
@@ -210,7 +212,8 @@ def _latex(table: Filled) -> str:
         r"    \midrule",
     ]
     for line in table.lines:
-        name = f"\\textbf{{{escaped(line.name)}}} (ours)" if line.ours else escaped(line.name)
+        bold = f"\\textbf{{{escaped(line.name)}}} ({line.source})"
+        name = escaped(line.name) if line.source == "published" else bold
         cells = [_number(cell, table.decimals, r"$\pm$").replace("–", "--") for cell in line.cells]
         lines.append("    " + " & ".join([name, *cells]) + r" \\")
     return "\n".join([*lines, r"    \bottomrule", r"  \end{tabular}", r"\end{table}"]) + "\n"
@@ -226,5 +229,5 @@ def _csv(table: Filled) -> str:
             for cell in line.cells
             for value in (cell.value, cell.half_width)
         ]
-        writer.writerow([table.title, line.name, "ours" if line.ours else "published", *cells])
+        writer.writerow([table.title, line.name, line.source, *cells])
     return text.getvalue()
