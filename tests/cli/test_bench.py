@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 import killable
 import pictures
+from a4agent.cli import bench_progress
 from a4agent.cli.bench_progress import words
 from a4agent.cli.main import main
 from a4agent.experts import registry
@@ -170,6 +173,22 @@ def test_a_sample_that_takes_too_long_is_an_error_of_its_own(a4: Type) -> None:
     slow = ("bench", "folder", "--data", "data", "--profile", "slow.toml", "--limit", "1", "--out", "run")
     assert a4(*slow, "--max-sample-seconds", "0.2")[0] == 1
     assert "max_sample_seconds" in next(iter(read_run("run").records.values())).row["error"]
+
+
+def test_the_live_line_fits_eighty_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    console = Console(file=io.StringIO(), force_terminal=True, width=80, color_system=None)
+    monkeypatch.setattr(bench_progress, "messages", console)
+    progress = Progress(planned=2000, to_ask=2000)
+    for number in range(1203):
+        progress.count(Row(60, 100) if number % 10 else Row(0, 50, "error"), "strict")
+    progress.asked, progress.cost = 1203, 112.37
+    display = bench_progress.Display("ragnet-handal-easy, paper-open-without-dreamer", progress)
+    display.update(progress)
+    assert display._bar is not None
+    console.print(display._bar.get_renderable())
+    (line,) = console.file.getvalue().splitlines()[:1]
+    assert "1203/2000" in line
+    assert line.rstrip().endswith("left, $112.37")
 
 
 def test_the_live_line_says_how_far_it_is() -> None:

@@ -15,11 +15,12 @@ import pictures
 from a4agent import metrics, rle
 from a4agent.agent import A4Agent
 from a4agent.benchmarks import registry
-from a4agent.benchmarks.base import Sample, Truth
+from a4agent.benchmarks.base import Sample
 from a4agent.config import Settings
 from a4agent.errors import BudgetExceeded, ConfigError, CredentialError, DataError
 from a4agent.runs import scores
 from a4agent.runs.bench import Bench, Selection
+from a4agent.runs.oracle import Oracle
 from a4agent.runs.store import read_run
 from a4agent.spotter import Spotter
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter
@@ -157,7 +158,10 @@ def test_a_budget_stops_cleanly_and_the_next_start_goes_on(bench: MakeBench, set
     assert bench().run(pictures.agent()).complete
 
 
-def test_a_truth_that_cannot_be_read_costs_no_sample_its_place(bench: MakeBench, data: Path) -> None:
+@pytest.mark.parametrize("oracle", [None, "thinker", "detector", "segmenter"])
+def test_a_truth_that_cannot_be_read_costs_no_sample_its_place(
+    bench: MakeBench, data: Path, oracle: Oracle | None
+) -> None:
     whole = registry.load("folder", data)
 
     def broken(index: int) -> Sample:
@@ -168,9 +172,9 @@ def test_a_truth_that_cannot_be_read_costs_no_sample_its_place(bench: MakeBench,
         def load() -> np.ndarray:
             raise DataError("3_mask.png is damaged")
 
-        return Sample(sample.query, Truth(load))
+        return Sample(sample.query, replace(sample.truth, load_mask=load))
 
-    with bench(benchmark=replace(whole, sample=broken)).open(pictures.agent()) as session:
+    with bench(benchmark=replace(whole, sample=broken), oracle=oracle).open(pictures.agent()) as session:
         records = list(session)
     assert records.count(None) == 1
     assert session.progress.unscored == {"picture 3": "3_mask.png is damaged"}

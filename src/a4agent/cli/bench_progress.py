@@ -68,11 +68,12 @@ def _clock(seconds: float) -> str:
 def _bar() -> Bar:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+    # No title: it stands on the line above, and 80 columns have room for the figures alone.
     return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
+        BarColumn(bar_width=None),
         MofNCompleteColumn(),
         TextColumn("{task.fields[words]}"),
         console=messages,
         transient=True,
+        expand=True,
     )

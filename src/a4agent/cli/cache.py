@@ -65,4 +65,5 @@ def _place(folder: Path | None) -> tuple[Path, float]:
 
 
 def _told(info: CacheInfo) -> str:
-    return f"{info.entries} answers, {info.bytes / 1e6:.1f} MB"
+    size = f"{info.bytes / 1e6:.1f} MB" if info.bytes >= 1e5 else f"{info.bytes / 1e3:.1f} kB"
+    return f"{info.entries} answers, {size}"

@@ -206,6 +206,10 @@ class Session:
                 return given_of(in_flight[query.id], oracle) if oracle else None
             except InputError:
                 return None  # the agent will find the same wrong with the picture, and it is this sample's answer
+            except DataError:
+                if oracle == "thinker":  # a dataset that names no parts: no sample can be told one
+                    raise
+                return None  # without a truth that can be read the sample has no score
 
         settings, stats = self._work.settings, self.progress.stats
         known = given if oracle else None
