@@ -54,6 +54,8 @@ def test_a_run_from_bench_to_report(a4: Type) -> None:
     (folder,) = Path("runs").iterdir()
     assert folder.name.startswith("folder-drawn-")
     assert "10 samples to ask, 0 there" in err
+    assert "1 failed like this: " in err
+    assert f"a4 report {folder}" in err
     assert len(read_run(folder).records) == 10
 
     code, out, err = a4(*BENCH)
@@ -162,7 +164,7 @@ def test_a_refused_row_has_no_score_and_stops_nothing(a4: Type) -> None:
         file.write('{"id": "out", "image": "../../passwd", "mask": "../../passwd", "instruction": "lift it"}\n')
     code, out, err = a4(*BENCH, "--out", "run")
     assert code == 1
-    assert "sample 'sample 10' has no score" in err
+    assert "no score for 'sample 10'" in err
     assert "not inside" in err
     assert "10 of 11 samples" in out
     assert len(read_run("run").records) == 10

@@ -173,7 +173,7 @@ def _run(work: Bench, agent: A4Agent, as_json: bool) -> tuple[Run, int]:
 def _tell(progress: Progress) -> None:
     """What should not go unnoticed, and what each model was asked."""
     for id, reason in list(progress.unscored.items())[:SHOWN]:
-        common.warn(f"sample {id!r} has no score: {reason}")
+        common.warn(f"no score for {id!r}: {reason}")
     if len(progress.unscored) > SHOWN:
         common.warn(f"{len(progress.unscored)} samples have no score; `a4 data check` lists what is wrong")
     stats = progress.stats
@@ -192,6 +192,11 @@ def _show_scores(run: Run) -> None:
     part = "" if run.complete else f", {len(run.records)} of {run.planned} samples"
     print(f"{run.manifest.label} on {run.manifest.identity['benchmark']}, protocol {found.protocol}{part}")
     print("\n".join(scores_text.lines(found)))
+    told = [record.row["error"] for record in run.records.values() if record.row["error"]]
+    for reason, count in scores.errors(run).most_common(SHOWN):
+        first = next(error for error in told if error.startswith(reason))
+        messages.print(f"{count} failed like this: {first}", soft_wrap=True, highlight=False, markup=False)
+    messages.print(f"to look at it: a4 report {run.folder}", soft_wrap=True, highlight=False, markup=False)
 
 
 def _settings_of(system: System, sets: list[str] | None, limits: dict[str, Any]) -> Settings:

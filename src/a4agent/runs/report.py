@@ -75,7 +75,7 @@ def render(run: Run) -> str:
         statuses=[(status, sum(r.status == status for r in run.records.values())) for status in STATUSES],
         outcomes=_outcomes(samples),
         histogram=_histogram(samples),
-        errors=Counter(record.row["error"].partition(":")[0] for record in run.records.values() if record.row["error"]),
+        errors=scores.errors(run),
         stages=_stages(run.records.values()),
         cost=sum(record.cost for record in run.records.values()),
         samples=samples,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -70,6 +71,11 @@ def outcome(record: Record) -> str:
     if 2 * row.intersection >= truth:
         return "too much"
     return "too little" if 2 * row.intersection >= found else "partly"
+
+
+def errors(run: Run) -> Counter[str]:
+    """How often samples failed for which reason: the part of the message before its first colon."""
+    return Counter(record.row["error"].partition(":")[0] for record in run.records.values() if record.row["error"])
 
 
 def summary(run: Run) -> dict[str, Any]:
