@@ -9,6 +9,7 @@ import pytest
 from a4agent import availability
 from a4agent.availability import Missing, check_profile, check_settings
 from a4agent.config import load_settings
+from a4agent.data_files import toml
 from a4agent.errors import ConfigError, MissingExtraError
 from a4agent.experts import registry
 from a4agent.testing import ScriptedDetector
@@ -80,3 +81,8 @@ def test_a_model_that_is_a_folder_is_not_missing(tmp_path: Path) -> None:
 def test_a_profile_that_does_not_exist_is_an_answer_not_an_error() -> None:
     (missing,) = check_profile("ofline")
     assert "did you mean 'offline'" in missing.what
+
+
+def test_every_extra_is_looked_for() -> None:
+    project = toml.loads((Path(__file__).parent.parent / "pyproject.toml").read_text())["project"]
+    assert set(availability.EXTRAS) == set(project["optional-dependencies"]) - {"all", "test"}

@@ -23,6 +23,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "ray": ("ray",),
     "interop": ("supervision", "rerun"),
     "sim": ("mujoco",),
+    "quantisation": ("bitsandbytes",),
 }
 """Extra -> the modules it brings."""
 

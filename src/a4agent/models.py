@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Protocol, cast
 
 from a4agent.data_files import read_toml
-from a4agent.errors import CredentialError, ModelFilesError
+from a4agent.errors import CredentialError, ModelFilesError, UnknownNameError
 from a4agent.experts import hub, registry
 
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+(/.+)?")
@@ -150,8 +150,12 @@ def _checkpoints_of(spec: str, settings: Mapping[str, Any]) -> list[tuple[str, s
     provider, model = registry.split(spec)
     table = read_toml("a4agent", "models.toml")
     if provider in table["local"]:
+        short = table["local"][provider]
+        if short and model not in short and "/" not in model and not Path(model).expanduser().exists():
+            hint = "A folder or OWNER/NAME will do as well."
+            raise UnknownNameError.of(f"model of {provider!r}:", model, short, hint)
         revision = cast("str | None", settings.get("revision")) or None
-        whole = (str(table["local"][provider].get(model, model)), revision)
+        whole = (str(short.get(model, model)), revision)
         return [whole, *((file, None) for file in _lora_of(model, settings, table["lightning"]))]
     module: Any = sys.modules.get(registry.factory_of(provider).__module__)
     own: Sequence[str] = module.checkpoints(model, settings) if hasattr(module, "checkpoints") else ()

@@ -14,6 +14,7 @@ import typer
 from a4agent import __version__
 from a4agent.availability import EXTRAS, check_profile, missing_modules
 from a4agent.config import profile_names
+from a4agent.errors import A4Error
 
 SIZES = {
     "offline": "about 300 MB",
@@ -25,6 +26,7 @@ SIZES = {
     "ray": "about 250 MB",
     "interop": "about 400 MB",
     "sim": "about 50 MB, and the asset packages",
+    "quantisation": "about 125 MB; a GPU",
 }
 
 
@@ -53,11 +55,28 @@ def examine() -> dict[str, Any]:
             extra: {"missing": missing_modules(extra), "size": SIZES[extra], "fix": f"pip install 'a4agent[{extra}]'"}
             for extra in EXTRAS
         },
+        "simulator": _simulator(),
         "profiles": {
             name: [{"what": missing.what, "fix": missing.fix} for missing in check_profile(name)]
             for name in profile_names()
         },
     }
+
+
+def _simulator() -> str:
+    """What stands between this machine and `a4 data make sim`; "" if nothing does."""
+    if missing_modules("sim"):
+        return "pip install 'a4agent[sim]'"
+    from a4agent.sim.assets import check_installed
+    from a4agent.sim.backend import check_renderer
+    from a4agent.sim.things import built_in
+
+    try:
+        check_installed(built_in())
+        check_renderer()
+    except A4Error as error:
+        return str(error)
+    return ""
 
 
 def _memory_gb() -> float | None:
@@ -104,6 +123,9 @@ def _show(report: dict[str, Any]) -> None:
         console.print(
             f"  {good if there else bad} {name}{'' if there else '  [dim]not set: export ' + name + '=...[/]'}"
         )
+    console.print("\n[bold]Simulator benchmark[/]")
+    lacking = report["simulator"]
+    console.print(f"  {bad} {escape(lacking)}" if lacking else f"  {good} assets and renderer")
     console.print("\n[bold]Profiles[/]")
     width = max(map(len, report["profiles"]))
     for name, missing in report["profiles"].items():
