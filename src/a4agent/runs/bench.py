@@ -147,7 +147,7 @@ class Bench:
 
 
 class Session:
-    """One start on a run folder. Iterate over it for a record a sample, None where the truth could not be read.
+    """One start on a run folder. Iterate over it for a record a sample; `progress.unscored` says which have none.
 
     Raises, while iterating:
         BudgetExceeded, UserError, ProviderError: see `engine.run`; what was answered is kept.
@@ -165,16 +165,13 @@ class Session:
         for record in writer.records.values():
             self.progress.count(record.scored, self._protocol)
 
-    def __iter__(self) -> Iterator[Record | None]:
+    def __iter__(self) -> Iterator[Record]:
         progress, writer = self.progress, self._writer
         for sample, affordance in self._answers():
             progress.asked += 1
             progress.cost += affordance.trace.cost
-            try:
-                truths = (sample.truth.mask(), *sample.truth.alternatives())
-            except UserError as error:
-                progress.unscored[sample.id] = str(error)
-                yield None
+            truths = self._truths(sample)
+            if truths is None:
                 continue
             row = row_of(sample, affordance, truths, writer)
             if sample.id in writer.records:
@@ -182,6 +179,14 @@ class Session:
             record = writer.add(row)
             progress.count(record.scored, self._protocol)
             yield record
+
+    def _truths(self, sample: Sample) -> tuple[np.ndarray, ...] | None:
+        """The masks that are right, None where they cannot be read; read twice a sample rather than kept."""
+        try:
+            return sample.truth.mask(), *sample.truth.alternatives()
+        except UserError as error:
+            self.progress.unscored[sample.id] = str(error)
+            return None
 
     def _answers(self) -> Iterator[tuple[Sample, Affordance]]:
         """The samples that are wanted with their answers, as they are ready."""
@@ -197,7 +202,7 @@ class Session:
                     continue
                 if sample.id in in_flight:
                     raise DataError(f"two samples of {benchmark.name!r} have the same id {sample.id!r}")
-                if self._writer.wants(sample.id):
+                if self._writer.wants(sample.id) and self._truths(sample):  # nothing is paid for what has no score
                     in_flight[sample.id] = sample
                     yield sample.query
 
@@ -206,10 +211,6 @@ class Session:
                 return given_of(in_flight[query.id], oracle) if oracle else None
             except InputError:
                 return None  # the agent will find the same wrong with the picture, and it is this sample's answer
-            except DataError:
-                if oracle == "thinker":  # a dataset that names no parts: no sample can be told one
-                    raise
-                return None  # without a truth that can be read the sample has no score
 
         settings, stats = self._work.settings, self.progress.stats
         known = given if oracle else None
