@@ -42,7 +42,7 @@ def create(path: str | Path) -> Benchmark:
     """
     index = _index(Path(path).expanduser())
     rows = read_rows(index) if index.suffix == ".jsonl" else _coco_rows(index)
-    return from_rows("folder", index, rows, licence="your own", source="")
+    return from_rows("folder", index, rows, licence="your own", source="your own files")
 
 
 def from_rows(

@@ -61,9 +61,10 @@ def bench(
     ] = "local",
     as_json: Annotated[bool, typer.Option("--json", help="Print the scores as JSON.")] = False,
 ) -> None:
-    """Run a profile on a benchmark and score it. Started again, it does only what is missing.
+    """Run a profile on a benchmark and score it.
 
-    A sample is in the run folder as soon as it is scored, so a run may be stopped at any time.
+    A sample is in the run folder as soon as it is scored, so a run may be stopped at any time. Started again, it
+    does only what is missing.
     """
     from a4agent.runs import scores
     from a4agent.runs.bench import Bench, Selection

@@ -24,9 +24,10 @@ def compare(
     protocol: Annotated[str | None, typer.Option(help="strict, affordance-r1, affordance-r1-umd or ragnet.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
-    """Compare runs with the first one, on the samples they share.
+    """Compare runs on the samples they share.
 
-    Runs that differ only in their oracle also make a table of what each stage costs.
+    Each is compared with the first one. Runs that differ only in their oracle also make a table of what
+    each stage costs.
     """
     from a4agent.runs.compare import compare as compare_two
     from a4agent.runs.compare import losses, to_dict

@@ -116,8 +116,7 @@ def _show(data: Benchmark, found: Check) -> None:
         ("fingerprint", data.digest),
     ]
     for name, value in lines:
-        if value:
-            print(f"{name:<12} {value}")
+        print(f"{name:<12} {value}")
     for problem in found.problems[:SHOWN]:
         print(f"  {problem.id}: {problem.kind}: {problem.message}")
     if len(found.problems) > SHOWN:
@@ -125,4 +124,4 @@ def _show(data: Benchmark, found: Check) -> None:
     if found.ok:
         print("all there")
     else:
-        print("not complete" + (f"; get what is missing from: {data.source}" if data.source else ""))
+        print(f"not complete; get what is missing from: {data.source}")

@@ -15,7 +15,10 @@ def report(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The file; RUN/report.html if not given.")] = None,
     show: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
 ) -> None:
-    """Write a run as one HTML file that opens without a network: scores, what fails, every sample."""
+    """Write a run as one HTML file.
+
+    It opens without a network, and shows the scores, what fails, and every sample.
+    """
     from a4agent.runs.report import write_report
     from a4agent.runs.store import read_run
 

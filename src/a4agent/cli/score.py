@@ -39,9 +39,10 @@ def score(
     by_category: Annotated[bool, typer.Option("--by-category", help="Also score each category.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
-    """Score masks that another system wrote; a sample without a readable one has failed.
+    """Score masks that another system wrote.
 
-    `a4 data queries` prints the ids, pictures and instructions to give to that system.
+    A sample without a readable mask has failed. `a4 data queries` prints the ids, pictures and
+    instructions to give to that system.
     """
     from rich.progress import Progress
 

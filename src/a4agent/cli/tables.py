@@ -15,7 +15,10 @@ def tables(
         str | None, typer.Option(help="This one: reasonaff, ragnet, umd or ablation-imagination, -components, -stages.")
     ] = None,
 ) -> None:
-    """Print the paper's tables with the runs' own rows beside, as Markdown, LaTeX or CSV."""
+    """Print the paper's tables with your runs beside.
+
+    As Markdown, LaTeX or CSV.
+    """
     from a4agent.runs.store import read_run
     from a4agent.runs.tables import fill
 

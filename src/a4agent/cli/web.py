@@ -22,7 +22,9 @@ def app(
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = False,
     sets: common.SetOption = None,
 ) -> None:
-    """Open the web page: drop a photo, say what to do, and watch the stages answer.
+    """Open the web page.
+
+    Drop a photo, say what to do, and watch the stages answer.
 
     Beyond loopback, visitors log in as a4 with the token of A4_SERVER_TOKEN as password.
     """
