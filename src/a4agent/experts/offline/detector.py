@@ -11,16 +11,15 @@ from collections.abc import Sequence
 from a4agent.errors import A4Error
 from a4agent.experts.base import Detection, DetectRequest, ExpertBase
 from a4agent.experts.offline.phrases import wanted
+from a4agent.experts.offline.revision import revision
 from a4agent.experts.offline.scene import forget, scene_of
-
-REVISION = "1"
 
 
 class OfflineDetector(ExpertBase):
     """A Detector of one box and one point; none where nothing stands out from the background."""
 
     def __init__(self, *, threads: int = 0) -> None:
-        super().__init__("offline:parts", revision=REVISION, max_batch=8, concurrency=1)
+        super().__init__("offline:parts", revision=revision(), max_batch=8, concurrency=1)
         self.threads = threads
 
     def detect(self, requests: Sequence[DetectRequest]) -> list[Detection | A4Error]:

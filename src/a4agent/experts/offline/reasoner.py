@@ -15,9 +15,9 @@ from collections.abc import Sequence
 
 from a4agent.errors import A4Error, UnreadableAnswer
 from a4agent.experts.base import ChatAnswer, ChatRequest, ExpertBase
+from a4agent.experts.offline.revision import revision
 from a4agent.experts.offline.understanding import Decision, understand
 
-REVISION = "1"
 _THINKER_TASK = re.compile(r'The task instruction is "(.*?)"\s*\.\s*(?:\n|$|The first image|Think|\*\*)', re.DOTALL)
 _THINKER_TASK_LOOSE = re.compile(r'The task instruction is "(.*)"', re.DOTALL)
 _DREAMER_TASK = re.compile(r"The given TASK is:\s*(.*)\Z", re.DOTALL)
@@ -27,7 +27,7 @@ class OfflineReasoner(ExpertBase):
     """A VisionLanguageModel made of rules; needs no key, no download and no time."""
 
     def __init__(self) -> None:
-        super().__init__("offline:reasoner", revision=REVISION, max_batch=64, concurrency=4)
+        super().__init__("offline:reasoner", revision=revision(), max_batch=64, concurrency=4)
 
     def chat(self, requests: Sequence[ChatRequest]) -> list[ChatAnswer | A4Error]:
         return [_answer(request.text) for request in requests]

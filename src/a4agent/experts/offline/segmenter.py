@@ -13,10 +13,10 @@ import numpy as np
 from a4agent.errors import A4Error, require
 from a4agent.experts.base import ExpertBase, Prompt, Segmentation, SegmentRequest
 from a4agent.experts.offline.colour import to_lab
+from a4agent.experts.offline.revision import revision
 from a4agent.experts.offline.scene import Scene, forget, scene_of
 from a4agent.experts.offline.silhouette import cut_out
 
-REVISION = "1"
 FITS = 0.7
 """A region whose box overlaps the prompt's by this much is what the prompt means."""
 
@@ -25,7 +25,7 @@ class OfflineSegmenter(ExpertBase):
     """A Segmenter with one candidate per prompt."""
 
     def __init__(self, *, threads: int = 0) -> None:
-        super().__init__("offline:parts", revision=REVISION, max_batch=8, concurrency=1)
+        super().__init__("offline:parts", revision=revision(), max_batch=8, concurrency=1)
         self.threads = threads
 
     def segment(self, requests: Sequence[SegmentRequest]) -> list[Segmentation | A4Error]:
