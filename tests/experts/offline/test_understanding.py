@@ -23,7 +23,7 @@ def rows(which: str) -> list[dict[str, str]]:
 
 def agrees(answer: str, wanted: str) -> bool:
     """The same part of the same object, whatever names are used for them."""
-    if not answer or not wanted:
+    if not answer or not wanted or answer == wanted:
         return answer == wanted
     know = knowledge()
     (part_a, object_a), (part_b, object_b) = (text.removeprefix("the ").split(" of the ") for text in (answer, wanted))

@@ -84,6 +84,8 @@ class Knowledge:
     theme_index: Mapping[tuple[str, ...], tuple[tuple[str, str], ...]]
     default_index: Mapping[str, tuple[str, ...]]
     wishes: tuple[Wish, ...]
+    usual_part: Mapping[tuple[str, ...], str]
+    untouchable: frozenset[tuple[str, ...]]
 
     def object_named(self, name: str) -> Thing | None:
         """The object of this name or with this other name."""
@@ -132,6 +134,8 @@ def knowledge() -> Knowledge:
                     defaults.setdefault(action, []).append(thing.name)
                 else:
                     themes.setdefault(stem(name), []).append((action, thing.name))
+    unknown = dict(table["unknown"])
+    untouchable = frozenset(stem(name) for name in unknown.pop("untouchable"))
     return Knowledge(
         objects=objects,
         object_index=object_index,
@@ -141,6 +145,8 @@ def knowledge() -> Knowledge:
         theme_index={name: tuple(found) for name, found in themes.items()},
         default_index={action: tuple(found) for action, found in defaults.items()},
         wishes=tuple(Wish(**row) for row in table["wishes"]),
+        usual_part={stem(verb): part for part, verbs in unknown.items() for verb in verbs},
+        untouchable=untouchable,
     )
 
 
