@@ -67,3 +67,9 @@ def test_structured_sends_a_schema_with_thinking_first() -> None:
     schema = vlm.requests[0].schema
     assert schema is not None
     assert next(iter(schema["properties"])) == "thinking"
+
+
+def test_what_the_model_said_instead_is_quoted() -> None:
+    unknown = "### Thinking\nI see no mug here.\n### Output\n{}"
+    with pytest.raises(UnreadableAnswer, match=r"object_name: .* It said: 'I see no mug here\.'"):
+        Thinker(ScriptedVLM([unknown] * 3)).decide(PHOTO, "drink")

@@ -92,6 +92,12 @@ def _thinking(text: str, end: int | None) -> str:
     return (before[heading.end() :] if heading else before).strip()
 
 
+def thinking_in(text: str) -> str:
+    """The prose of an answer: what stands under "### Thinking", or before the output."""
+    output = list(OUTPUT.finditer(text))
+    return _thinking(text, output[-1].start()) if output else _thinking(text, len(text))
+
+
 def json_values(text: str) -> Iterator[dict[str, Any] | list[Any]]:
     """All outermost JSON objects and lists in a text, in order; trailing commas and raw line breaks allowed."""
     decoder = json.JSONDecoder(strict=False)

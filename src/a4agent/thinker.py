@@ -12,13 +12,16 @@ from typing import TYPE_CHECKING
 
 from a4agent import prompts
 from a4agent.affordance import Imagination, Target
-from a4agent.answers import TargetAnswer, read_target
+from a4agent.answers import TargetAnswer, read_target, thinking_in
 from a4agent.errors import TruncatedAnswer, UnreadableAnswer
 from a4agent.experts.base import ChatRequest, VisionLanguageModel
 from a4agent.tracing import Recorder
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+
+SAID = 240
+"""How much of an unusable answer an error quotes, in characters."""
 
 REASK = """
 
@@ -58,19 +61,21 @@ class Thinker:
         question = prompts.fill(prompts.load(self.prompts, template), instruction)
         images = (image,) if imagined is None else (image, imagined)
         schema = TargetAnswer.model_json_schema() if self.structured else None
-        text, reason, cut_off = question, "", False
+        text, reason, said, cut_off = question, "", "", False
         for attempt in range(self.reasks + 1):
             request = ChatRequest(images, text, schema=schema, max_tokens=self.max_tokens, attempt=attempt)
             answer = recorder.ask("thinker", self.vlm, request)
             try:
                 target = read_target(answer.text)
             except UnreadableAnswer as error:
-                cut_off = answer.finish_reason == "length"
+                said, cut_off = thinking_in(answer.text), answer.finish_reason == "length"
                 reason = f"it was cut off after {self.max_tokens} tokens" if cut_off else str(error)
                 text = question + REASK.format(reason=reason)
                 continue
             return replace(target, task=target.task or instruction, thinking=target.thinking or answer.reasoning)
         asked = f"{self.vlm.id} gave no usable answer to {instruction!r} when asked {self.reasks + 1} times: {reason}"
+        if said:
+            asked += f". It said: {said[:SAID].strip()!r}"
         if cut_off:
             raise TruncatedAnswer(f"{asked}; raise thinker.max_tokens")
         raise UnreadableAnswer(asked)

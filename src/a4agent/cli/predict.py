@@ -146,7 +146,7 @@ def _tell(affordance: Affordance, image: Path, folder: Path, *, alone: bool) -> 
             Text.assemble((f"{affordance.status:8}", "green" if good else "red"), f"{image}: {caption_of(affordance)}")
         )
         return
-    rows: list[tuple[str, str]] = [("part", caption_of(affordance))]
+    rows: list[tuple[str, str]] = [("part" if good else "answer", caption_of(affordance))]
     if affordance.target and affordance.target.thinking:
         rows.append(("thinking", affordance.target.thinking))
     if affordance.imagination:
@@ -158,9 +158,9 @@ def _tell(affordance: Affordance, image: Path, folder: Path, *, alone: bool) -> 
         rows.append(("mask", f"{int(affordance.mask.sum())} pixels, {share:.1%} of the image"))
     cost = f", ${affordance.trace.cost:.4f}" if affordance.trace.cost else ""
     rows.append(("took", f"{affordance.trace.seconds:.2f} s in {len(affordance.trace.steps)} model calls{cost}"))
-    rows.append(("overlay" if affordance.image is not None else "answer", str(_shown(affordance, folder))))
+    rows.append(("overlay" if affordance.image is not None else "file", str(_shown(affordance, folder))))
     for name, value in rows:
-        console.print(Text.assemble((f"{name:>9}  ", "bold cyan"), (value, "" if good or name != "part" else "red")))
+        console.print(Text.assemble((f"{name:>9}  ", "bold cyan"), (value, "" if name != "answer" else "red")))
 
 
 def _shown(affordance: Affordance, folder: Path) -> Path:
