@@ -227,11 +227,9 @@ def _with_objects(
     instruction: str,
 ) -> Decision:
     """One of the named objects, or the tool that is used on it."""
-    tools = [
-        o
-        for o in objects
-        if o.start and {"with", "using", "use", "from", "via"} & set(said[max(0, o.start - 3) : o.start])
-    ]
+    moved = bool(verbs) and bool({"grasp", "pull", "push"} & set(verbs[0].value))  # away from something, not with it
+    signs = {"with", "using", "use", "via"} | (set[str]() if moved else {"from"})
+    tools = [o for o in objects if o.start and signs & set(said[max(0, o.start - 3) : o.start])]
     rest = [o for o in objects if o not in tools]
     ordered = [mention.value for mention in tools + rest]
     if holding:
@@ -331,7 +329,10 @@ def _not_in_the_book(said: list[str], verbs: list[Mention[tuple[str, ...]]], kno
             return Decision("object", noun, f"The instruction itself names the {noun}.")
         if noun is None and verb.end < len(said) and said[verb.end] in {"a", "an", "some", "any"}:
             return None  # not a thing in this picture
-        noun = noun or first_noun(said[: verb.start])
+        asked = re.search(
+            r"\b(?:where|what) (?:do|should|would|can|must) (?:i|we|you) \w*$", " ".join(said[: verb.start]) + " "
+        )
+        noun = noun or first_noun(said[: verb.start]) or ("object" if asked else None)
         if noun is None or any(stem(noun.split()[-count:]) in know.untouchable for count in (1, 2, 3)):
             continue
         verb_said = " ".join(said[verb.start : verb.end])

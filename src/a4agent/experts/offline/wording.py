@@ -17,15 +17,15 @@ DEFINITE = frozenset(["the", "this", "that", "these", "those", "my", "your", "ou
 _ANY_NUMBER = "a|an|all|any|both|each|either|every|one|some|" + "|".join(sorted(DEFINITE))
 _SPLIT_VERB = re.compile(
     rf"\b([a-z]+) ((?:{_ANY_NUMBER})(?: [\w'-]+){{1,7}}?|it|them|this|that) "
-    r"(on|off|up|down|in|out|open|shut|closed|away|over)"
-    r"(?=\s*(?:$|[.,;:?!]|\b(?:and|again|before|by|for|now|please|so|then|to|until|using|with)\b))"
+    r"(on|off|up|down|in|out|open|shut|closed|away|over|back)"
+    r"(?=\s*(?:$|[.,;:?!]|\b(?:and|again|before|by|for|from|in|into|now|onto|please|so|then|to|until|using|with)\b))"
 )
 _OPENED = {"open": "open", "shut": "close", "closed": "close"}
 _SMALL_WORDS = """
 a about above across after again all along am an and are around as aside at away back be before behind below
 beneath beside between both but by can could do does down each either first for from go goes has have he here how
-i if in inside into is it me must near next not now of off on one onto or out over please she should so than that
-the then there they this those through to together under until up us using was we were what when where which
+i if in inside into is it me must near next not now of off on one onto or other out over please same she should so than
+that the then there they this those through to together under until up us using was we were what when where which
 while who why will with without would you
 """
 _NO_NOUN = frozenset(_SMALL_WORDS.split())
@@ -34,11 +34,14 @@ _NO_NOUN = frozenset(_SMALL_WORDS.split())
 def plain(text: str, verbs: Container[tuple[str, ...]]) -> str:
     """`text` (lower case) with verb and particle side by side where they are one of `verbs` (stemmed).
 
-    Whatever is thrown, pushed or slid open is opened, and whatever is pulled shut is closed.
+    Whatever is thrown, pushed or slid open is opened, and whatever is pulled shut is closed. "Back" goes, lest
+    it be taken for a chair's.
     """
 
     def joined(match: re.Match[str]) -> str:
         verb, noun, particle = match.groups()
+        if particle == "back":
+            return f"{verb} {noun}" if stem(verb) in verbs else match[0]
         if stem(f"{verb} {particle}") in verbs:
             return f"{verb} {particle} {noun}"
         if particle in _OPENED and stem(verb) in verbs:
