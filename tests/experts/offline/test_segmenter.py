@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -96,3 +101,23 @@ def test_a_box_of_no_size_still_marks_a_pixel(screwdriver) -> None:
 
 def test_no_prompts_no_masks() -> None:
     segment(Image.new("RGB", (20, 10)))
+
+
+def test_every_process_gives_the_same_answer(mug, tmp_path: Path) -> None:
+    mug().image.save(tmp_path / "mug.png")
+    code = (
+        "import hashlib, sys; from a4agent import A4Agent\n"
+        "with A4Agent.from_profile('offline') as agent:\n"
+        "    answer = agent.predict(sys.argv[1], 'Lift the mug by its handle.')\n"
+        "assert answer.mask.any()\n"
+        "print(hashlib.sha256(answer.mask.tobytes() + answer.boxes_xyxy.tobytes() + answer.points_xy.tobytes())"
+        ".hexdigest(), answer.target)"
+    )
+    said = {
+        subprocess.run(
+            [sys.executable, "-c", code, str(tmp_path / "mug.png")],
+            capture_output=True, text=True, check=True, env={**os.environ, "PYTHONHASHSEED": seed},
+        ).stdout
+        for seed in ("1", "2")
+    }  # fmt: skip
+    assert len(said) == 1

@@ -83,3 +83,28 @@ def test_what_is_not_known_is_said_to_be_unknown() -> None:
 )
 def test_a_part_that_is_named_is_honoured(instruction: str, phrase: str) -> None:
     assert understand(instruction).phrase == phrase
+
+
+@pytest.mark.parametrize(
+    ("instruction", "phrase"),
+    [
+        ("open the hatch", "the handle of the hatch"),
+        ("How do I open this?", "the handle of the object"),
+        ("turn the whatsit", "the knob of the whatsit"),
+        ("push the crawdad aside", "the surface of the crawdad"),
+        ("Where do I pull?", "the handle of the object"),
+    ],
+)
+def test_a_thing_that_is_not_known_gets_its_usual_part_and_is_said_to_be_so(instruction: str, phrase: str) -> None:
+    decision = understand(instruction)
+    assert decision.phrase == phrase
+    assert f"I do not know this {decision.object_name}" in decision.because
+
+
+@pytest.mark.parametrize(
+    "instruction",
+    ["open the discussion", "open a bank account", "start the meeting", "hold on a second", "pull the other one",
+     "frobnicate the zorble", "the the the", "Why is the door open?", "When did the war end?"],
+)  # fmt: skip
+def test_what_cannot_be_touched_is_still_refused(instruction: str) -> None:
+    assert understand(instruction).part_name is None

@@ -336,7 +336,7 @@ def _not_in_the_book(said: list[str], verbs: list[Mention[tuple[str, ...]]], kno
         if noun is None or any(stem(noun.split()[-count:]) in know.untouchable for count in (1, 2, 3)):
             continue
         verb_said = " ".join(said[verb.start : verb.end])
-        because = f"I do not know this {noun}; what one would {verb_said} usually has a {part} for it."
+        because = f"I do not know this {noun}; to {verb_said} a thing, most have a {part}."
         return Decision(noun, part, because, verb_said)
     return None
 
