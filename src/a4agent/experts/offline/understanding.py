@@ -55,7 +55,13 @@ _DONE_TO_IT = {"climb", "drink", "kick", "lie", "play", "ride", "sit", "throw", 
 """Actions that a named object undergoes itself: nobody reaches for a ball to kick a door."""
 
 _PARTICLES = (["out"], ["up"], ["down"], ["in"], ["over"])
-_CLOSE = {"throw": ("grasp",), "kick": ("push", "grasp"), "extract": ("pull", "grasp"), "fasten": ("turn",)}
+_CLOSE = {
+    "hang": ("grasp",),
+    "throw": ("grasp",),
+    "kick": ("push", "grasp"),
+    "extract": ("pull", "grasp"),
+    "fasten": ("turn",),
+}
 
 
 def understand(instruction: str) -> Decision:
