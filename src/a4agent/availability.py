@@ -6,6 +6,7 @@ import importlib.util
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import cast
 
 from a4agent import models
 from a4agent.config import ExpertSettings, Settings, load_settings
@@ -76,7 +77,7 @@ def check_settings(settings: Settings) -> list[Missing]:
 def _try_to_build(role: str, spec: ExpertSettings) -> list[Missing]:
     """An expert without a checkpoint is quickly made, and says itself what it lacks: a key, a library."""
     try:
-        registry.create(spec.expert, _ROLES[role.rpartition(".")[2]], spec.settings).close()
+        registry.create(spec.expert, cast(Role, role.rpartition(".")[2]), spec.settings).close()
     except CredentialError as error:
         variable = re.search(r"[A-Z][A-Z0-9]*_[A-Z0-9_]+", str(error))
         return [Missing(f"a key for {spec.expert}", f"export {variable[0]}=..." if variable else str(error))]
@@ -86,6 +87,3 @@ def _try_to_build(role: str, spec: ExpertSettings) -> list[Missing]:
     except A4Error as error:
         return [Missing(f"{role}: {error}", f"--set {role}=PROVIDER:MODEL")]
     return []
-
-
-_ROLES: Mapping[str, Role] = {role: role for role in ("vlm", "editor", "detector", "segmenter")}

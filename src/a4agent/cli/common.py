@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 
-from a4agent.errors import A4Error, ConfigError, UserError
+from a4agent.errors import ConfigError, UserError
 
 if TYPE_CHECKING:
     from a4agent.agent import A4Agent
@@ -76,30 +75,3 @@ def _escaped(text: str) -> str:
     from rich.markup import escape
 
     return escape(text)
-
-
-def check_writable(folder: Path) -> None:
-    """Make the folder and try it.
-
-    Raises:
-        InputError: nothing can be written there.
-    """
-    from a4agent.saving import make_folder
-
-    make_folder(folder)
-
-
-__all__ = [
-    "INTERRUPTED",
-    "OK",
-    "SOME_FAILED",
-    "USAGE",
-    "A4Error",
-    "ProfileOption",
-    "SetOption",
-    "check_writable",
-    "fail",
-    "messages",
-    "settings",
-    "warn",
-]

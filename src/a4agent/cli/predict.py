@@ -36,9 +36,11 @@ def predict(
 
     Writes OUT/NAME/ with affordance.json, mask.png, overlay.png and, when dreamt, imagination.png.
     """
+    from a4agent.saving import make_folder
+
     images, instruction = split_arguments(arguments)
     settings = common.settings(profile, sets, engine__cache=cache, engine__max_cost=max_cost)
-    common.check_writable(out)
+    make_folder(out)
     failed = _run(settings, name_samples(images), instruction, out, as_json)
     raise typer.Exit(common.SOME_FAILED if failed else common.OK)
 

@@ -16,7 +16,6 @@ import os
 import shutil
 import threading
 import time
-import uuid
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from pathlib import Path
 from a4agent.engine import entries
 from a4agent.errors import ConfigError
 from a4agent.experts.base import Answer, ChatAnswer
-from a4agent.folders import system_cache
+from a4agent.folders import replace_file, system_cache
 
 log = logging.getLogger("a4agent")
 
@@ -95,14 +94,9 @@ class Cache:
             return
         data = entries.pack(answer)
         path = self._path(key)
-        draft = path.with_name(f".{uuid.uuid4().hex}.tmp")
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            draft.write_bytes(data)
-            os.replace(draft, path)
+            replace_file(path, data)
         except OSError as error:
-            with suppress(OSError):
-                draft.unlink()
             # Windows refuses to replace a file that another process reads: then the answer is there already.
             if not path.exists() and not self._warned:
                 self._warned = True

@@ -36,6 +36,7 @@ from a4agent.experts.base import (
     SegmentRequest,
     with_usage,
 )
+from a4agent.experts.registry import VERBS
 
 MOST_IN_FLIGHT = 128
 
@@ -251,8 +252,7 @@ def _final(expert: str, error: Exception, tries: int) -> A4Error:
 
 
 def _role(expert: Expert) -> str:
-    verbs = {"chat": "vlm", "edit": "editor", "detect": "detector", "segment": "segmenter"}
-    return next((role for verb, role in verbs.items() if hasattr(expert, verb)), "expert")
+    return next((role for role, verb in VERBS.items() if hasattr(expert, verb)), "expert")
 
 
 def _enough_in_flight(agent: A4Agent) -> int:

@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, Any
 
 from a4agent.affordance import Affordance, Status
 from a4agent.errors import ConfigError, DataError
+from a4agent.folders import replace_file
 from a4agent.images import image_hash
 from a4agent.metrics import Row
 from a4agent.runs.lock import hold
@@ -297,16 +298,9 @@ def write_atomically(path: Path, data: bytes) -> None:
     Raises:
         DataError: it cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+        replace_file(path, data, durable=True)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise DataError(f"{str(path)!r} cannot be written: {error}") from error
 
 
