@@ -2,14 +2,17 @@
 
     {"arguments": ["bench", "folder", ...], "kill_after": 0.12, "signal": 9}   ->   {"status": -9, "seconds": 0.12}
 
-The signal is sent after so many seconds, or once the file of `kill_at: [FILE, N]` has N lines, or not at all.
+The signal is sent after so many seconds, or once the file of `kill_at: [FILE, N]` has N lines, or before the Nth
+time that a path of the folder of `kill_before: [FOLDER, N]` is opened, made, renamed or removed, or not at all.
 The experts of `pictures.py` are there as the provider `drawn`.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
+import signal
 import sys
 import time
 from pathlib import Path
@@ -44,8 +47,24 @@ def create(model: str, role: str, *, seconds: float = 0.0) -> Any:
     return next(expert for expert in experts if type(expert).__name__ == f"Scripted{NAMES[role]}")
 
 
-def child(arguments: list[str]) -> None:
+def die_before(folder: str, step: int) -> None:
+    """Be killed before the file system is asked for the `step`th thing inside `folder`."""
+    steps = itertools.count(1)
+
+    def audit(event: str, arguments: tuple[Any, ...]) -> None:
+        if event != "open" and not event.startswith("os."):
+            return
+        paths = [os.fsdecode(item) for item in arguments if isinstance(item, str | bytes | os.PathLike)]
+        if any(path.startswith(folder) for path in paths) and next(steps) == step:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    sys.addaudithook(audit)
+
+
+def child(arguments: list[str], kill_before: tuple[str, int] | None) -> None:
     """Be `a4`, with what it prints thrown away."""
+    if kill_before:
+        die_before(*kill_before)
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, 1)
     code: Any = 0
@@ -68,7 +87,7 @@ def serve() -> None:
         started = time.monotonic()
         process = os.fork()
         if process == 0:
-            child(order["arguments"])
+            child(order["arguments"], order["kill_before"])
         if order["kill_after"] is not None:
             time.sleep(order["kill_after"])
             os.kill(process, order["signal"])

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import uuid
 from contextlib import suppress
 from pathlib import Path
+
+DRAFT = re.compile(r"\.[0-9a-f]{32}\.tmp")
 
 
 def system_cache() -> Path:
@@ -42,3 +45,8 @@ def replace_file(path: Path, data: bytes, *, durable: bool = False) -> None:
         with suppress(OSError):
             draft.unlink()
         raise
+
+
+def is_draft(path: Path) -> bool:
+    """Whether this is a file that `replace_file` was writing, or that a process killed meanwhile left behind."""
+    return DRAFT.fullmatch(path.name) is not None

@@ -17,6 +17,7 @@ import pytest
 
 import killable
 import pictures
+from a4agent.folders import is_draft
 from a4agent.runs import scores
 from a4agent.runs.store import Run, read_run
 
@@ -50,11 +51,19 @@ def start(tmp_path: Path) -> Iterator[Start]:
         *,
         kill_after: float | None = None,
         kill_at: tuple[str, int] | None = None,
+        kill_before: tuple[str, int] | None = None,
+        limit: int = SAMPLES,
         how: int = signal.SIGKILL,
         seconds: str = "0.004",
     ) -> dict[str, Any]:
-        options = ["--data", str(data), "--profile", str(tmp_path / f"{seconds}.toml"), "--out", str(out)]
-        line = {"arguments": ["bench", "folder", *options], "kill_after": kill_after, "kill_at": kill_at, "signal": how}
+        options = ["--data", data, "--profile", tmp_path / f"{seconds}.toml", "--out", out, "--limit", limit]
+        line = {
+            "arguments": ["bench", "folder", *map(str, options)],
+            "kill_after": kill_after,
+            "kill_at": kill_at,
+            "kill_before": kill_before,
+            "signal": how,
+        }
         assert server.stdin is not None
         assert server.stdout is not None
         server.stdin.write(json.dumps(line) + "\n")
@@ -91,6 +100,7 @@ def test_killed_at_twenty_random_instants_it_ends_as_if_nothing_had_been(start: 
         while not complete:
             delay = instants.uniform(0.0, whole["seconds"]) if kills < KILLS else None
             status = start(folder, kill_after=delay)["status"]
+            assert status in (1, -signal.SIGKILL), "a kill is no reason to refuse the folder"
             kills += status == -signal.SIGKILL
             complete = status == 1
             if not complete and (folder / "manifest.json").exists():
@@ -101,6 +111,21 @@ def test_killed_at_twenty_random_instants_it_ends_as_if_nothing_had_been(start: 
         lines = [json.loads(line)["id"] for line in (folder / "samples.jsonl").read_bytes().splitlines()]
         assert Counter(lines) == Counter(undisturbed.records.keys()), "each sample was asked for and written once"
     assert len(reached) > 3, f"the kills came at different points: {reached}"
+
+
+def test_killed_before_any_touch_of_the_disk_it_goes_on(start: Start, tmp_path: Path) -> None:
+    start(tmp_path / "undisturbed", limit=2)
+    undisturbed = rows(read_run(tmp_path / "undisturbed"))
+    step, killed = 0, True
+    while killed:
+        step += 1
+        folder = tmp_path / f"killed before step {step}"
+        killed = start(folder, limit=2, kill_before=(str(folder), step))["status"] == -signal.SIGKILL
+        assert start(folder, limit=2)["status"] == 1, f"step {step}"
+        assert rows(read_run(folder)) == undisturbed
+        drafts = [path.name for path in folder.rglob("*") if is_draft(path)]
+        assert not drafts, "what was half written is swept away"
+    assert step > 15, "manifest, lock, samples, pictures and scores are all on the way"
 
 
 def test_ctrl_c_keeps_what_is_in_flight_and_says_so_by_its_exit_code(start: Start, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import uuid
 from pathlib import Path
 
 import pytest
@@ -70,6 +71,16 @@ def test_another_configuration_is_refused_and_told_apart(tmp_path: Path) -> None
     ):
         pass
     assert len(read_run(tmp_path / "run").manifest.sessions) == 1, "the refused start left no mark"
+
+
+def test_what_a_writer_killed_at_its_start_leaves_is_no_reason_to_refuse(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "lock").touch()
+    (folder / f".{uuid.uuid4().hex}.tmp").write_text('{"schema"')
+    with RunWriter(folder, manifest()) as run:
+        run.add(row("a"))
+    assert {path.name for path in folder.iterdir()} == {"lock", "manifest.json", "samples.jsonl"}
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 
 from a4agent.affordance import Affordance, Status
 from a4agent.errors import ConfigError, DataError
-from a4agent.folders import replace_file
+from a4agent.folders import is_draft, replace_file
 from a4agent.images import image_hash
 from a4agent.metrics import Row
 from a4agent.runs.lock import hold
@@ -224,6 +224,7 @@ class RunWriter:
             raise DataError(f"{str(self.folder)!r} cannot be made: {error}") from error
         with ExitStack() as held:
             held.enter_context(hold(self.folder / "lock"))
+            _sweep(self.folder)
             if path.exists():
                 self._adopt(Manifest.from_json(path.read_text(encoding="utf-8"), str(path)))
             self.manifest = self.manifest.with_session()
@@ -324,4 +325,12 @@ def _repair(path: Path) -> None:
 
 def _foreign(folder: Path) -> bool:
     """Whether there is something in the folder that no run leaves behind when it dies at its very start."""
-    return any(not (path.name == "lock" or path.name.startswith(".manifest.json.")) for path in folder.iterdir())
+    return any(not (path.name == "lock" or is_draft(path)) for path in folder.iterdir())
+
+
+def _sweep(folder: Path) -> None:
+    """Remove what a killed writer had half written; only for who holds the folder's lock."""
+    for place in (folder, folder / "images"):
+        for path in place.iterdir() if place.is_dir() else ():
+            if is_draft(path):
+                path.unlink(missing_ok=True)
