@@ -143,7 +143,7 @@ def test_another_set_has_another_fingerprint(set_path: Path) -> None:
         (lambda root: (root / "set.json").write_text("[]"), "does not describe a sim set"),
         (lambda root: (root / "set.json").write_text('{"benchmark": "umd"}'), "does not describe a sim set"),
         (lambda root: _edit(root, "set.json", '"format": 1', '"format": 99'), "has format 99, this version reads 1"),
-        (lambda root: _edit(root, "set.json", '"n": 3', '"n": 4'), "has 3 of 4 samples"),
+        (lambda root: _edit(root, "set.json", '"n": 3', '"n": 4'), "not finished: it has 3 of 4 samples"),
         (lambda root: _edit(root, "samples.jsonl", '"choose": "all"', '"choose": "both"'), "line 2 of .*choose"),
         (
             lambda root: _edit(root, "samples.jsonl", '"visible_share": 0.8', '"visible_share": 8'),

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from a4agent.errors import ConfigError, MissingExtraError
+from a4agent.errors import ConfigError, DataError, MissingExtraError
 from a4agent.sim import make
 from a4agent.sim.draw import LEAST_PIXELS, LEAST_VISIBLE
 from a4agent.sim.make import make_set
@@ -103,6 +108,78 @@ def test_a_folder_with_something_in_it_is_left_alone(catalogue: Catalogue, tmp_p
     with pytest.raises(ConfigError, match="at least one sample, not 0"):
         make_set(tmp_path / "new", n=0)
     assert not (tmp_path / "new").exists()
+
+
+def test_a_set_that_was_broken_off_goes_on_after_its_last_whole_row(
+    catalogue: Catalogue, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = make_set(tmp_path / "whole", n=3, seed=9, split="dev")
+    broken = Path(shutil.copytree(whole, tmp_path / "broken"))
+    lines = (whole / "samples.jsonl").read_bytes().splitlines(keepends=True)
+    (broken / "samples.jsonl").write_bytes(lines[0] + lines[1][:100])
+    for picture in sorted((broken / "images").iterdir())[1:]:
+        picture.write_bytes(b"half a picture")
+    drawn: list[int] = []
+    monkeypatch.setattr(make, "draw_sample", _noting(drawn, make.draw_sample))
+    make_set(broken, n=3, seed=9, split="dev")
+    assert drawn == [1, 2]
+    assert _files(broken) == _files(whole)
+    assert make_set(broken, n=3, seed=9, split="dev") == broken
+    assert drawn == [1, 2]
+    with pytest.raises(ConfigError, match="another set, with seed 9 where 8 is asked for"):
+        make_set(broken, n=3, seed=8, split="dev")
+
+
+def _noting(drawn: list[int], draw: Callable[[Catalogue, Any], Any]) -> Callable[[Catalogue, Any], Any]:
+    def draw_and_note(catalogue: Catalogue, plan: Any) -> Any:
+        drawn.append(plan.index)
+        return draw(catalogue, plan)
+
+    return draw_and_note
+
+
+def test_a_set_killed_before_any_sample_is_begun_again(
+    catalogue: Catalogue, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def rows(jobs: list[Any], workers: int) -> Iterator[dict[str, Any]]:
+        return ({"id": plan.stem} for _, plan, _ in jobs)
+
+    monkeypatch.setattr(make, "_rows", rows)
+    whole = make_set(tmp_path / "whole", n=2)
+    draft = "." + 32 * "a" + ".tmp"
+    for number, there in enumerate(([], [draft], ["set.json"], ["set.json", "images/"], ["set.json", "samples.jsonl"])):
+        out = tmp_path / str(number)
+        out.mkdir()
+        for name in there:
+            if name.endswith("/"):
+                (out / name).mkdir()
+            else:
+                (out / name).write_bytes((whole / name).read_bytes() if name == "set.json" else b"")
+        make_set(out, n=2)
+        assert {**_files(out), draft: b""} == {**_files(whole), draft: b""}
+
+
+def test_workers_end_with_a_killed_parent(catalogue: Catalogue, tmp_path: Path) -> None:
+    out = tmp_path / "set"
+    command = [sys.executable, "-m", "a4agent.cli.main", "data", "make", "sim", "--out", str(out), "--n", "40"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    try:
+        for _ in range(600):
+            if (out / "samples.jsonl").is_file() and (out / "samples.jsonl").stat().st_size:
+                break
+            time.sleep(0.1)
+    finally:
+        process.kill()
+    process.communicate(timeout=30)  # whoever still lives holds the other end of the pipe
+    begun = (out / "samples.jsonl").read_bytes()
+    assert begun.endswith(b"\n")
+    assert 1 <= begun.count(b"\n") < 40
+
+
+def test_where_nothing_can_be_written_it_says_so(catalogue: Catalogue, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(DataError, match=r"cannot be written.*--out"):
+        make_set(tmp_path / "file" / "set", n=1)
 
 
 def test_missing_assets_are_said_before_anything_is_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -77,7 +77,10 @@ def create(path: str | Path | None = None) -> Benchmark:
         raise DataError(f"{str(root)!r} has format {about.get('format')!r}, this version reads {FORMAT}; {SOURCE}")
     rows = read_rows(root)
     if len(rows) != about.get("n"):
-        raise DataError(f"{str(root)!r} has {len(rows)} of {about.get('n')} samples; make it anew: {SOURCE}")
+        raise DataError(
+            f"{str(root)!r} was not finished: it has {len(rows)} of {about.get('n')} samples; "
+            f"the command that began it goes on: {SOURCE}"
+        )
     named = [name for row in rows for name in (row.image, row.mask, row.regions)]
     return Benchmark(
         name="sim",

@@ -1,7 +1,7 @@
 """Write a set of samples.
 
     out/
-      set.json                what it was made with: seed, split, versions of mujoco and of the assets
+      set.json                what it is made with: seed, split, things, renderer, versions; written first
       samples.jsonl           one row a sample, paths beside it
       images/0003-mug.jpg     the picture
       masks/0003-mug.png      the answer: 255 where an asked part is seen
@@ -18,21 +18,27 @@ A row, shortened:
      "occluded_share": 0.05, "cut_share": 0.02, "camera_matrix": [[...]], "camera_pose": [[...]], ...}
 
 The same seed gives the same bytes with the same versions on the same renderer. Every sample depends on
-the seed and its number alone, so the number of workers changes nothing.
+the seed and its number alone, so the number of workers changes nothing, and a set that was broken off
+goes on after its last row.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
+import multiprocessing
+import os
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from a4agent.errors import ConfigError
+from a4agent.errors import ConfigError, DataError, ResourceError
+from a4agent.folders import is_draft, replace_file
 from a4agent.sim.assets import check_installed
 from a4agent.sim.backend import check_renderer, mujoco
 from a4agent.sim.draw import Drawn, Plan, draw_sample, plan_set
@@ -54,7 +60,9 @@ def make_set(
     workers: int = 1,
     on_sample: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write `n` samples of a split (None: of both) into `out`, a new or empty folder, and return it.
+    """Write `n` samples of a split (None: of both) into `out` and return it.
+
+    `out` is a new or empty folder, or one where the same set was begun: what is there is kept.
 
     Args:
         catalogue_path: declarations to use instead of the built-in ones.
@@ -63,37 +71,78 @@ def make_set(
 
     Raises:
         MissingExtraError: mujoco or an asset package is not installed.
-        ConfigError: `out` holds something already, n is not positive, or the split is empty.
-        DataError: a declaration does not fit its file, or hides its part.
-        ResourceError: mujoco finds no off-screen renderer.
+        ConfigError: `out` holds something else already, n is not positive, or the split is empty.
+        DataError: a declaration does not fit its file, or hides its part; or `out` cannot be written.
+        ResourceError: mujoco finds no off-screen renderer, or a worker was killed.
     """
     catalogue = _catalogue(catalogue_path)
     versions = check_installed(catalogue)
-    check_renderer()
+    renderer = check_renderer()
     if n < 1:
         raise ConfigError(f"a set has at least one sample, not {n!r}: --n 200")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ConfigError(f"{str(out)!r} holds something already; name a new folder with --out")
     plans = list(plan_set(catalogue, n, seed, split))
-    for folder in ("images", "masks", "regions", "objects", "depth"):
-        (out / folder).mkdir(parents=True, exist_ok=True)
-
-    with (out / "samples.jsonl").open("w", encoding="utf-8", newline="\n") as lines:
-        for done, row in enumerate(_rows([(out, plan, catalogue_path) for plan in plans], workers), start=1):
-            lines.write(json.dumps(row, ensure_ascii=False) + "\n")
-            if on_sample:
-                on_sample(done, n)
     about = {
         "benchmark": "sim",
         "format": FORMAT,
         "n": n,
         "seed": seed,
         "split": split or "all",
+        "things": hashlib.sha256(catalogue.model_dump_json().encode()).hexdigest()[:16],
+        "renderer": renderer,
         "versions": {"mujoco": mujoco().__version__, **versions},
         "licences": {name: package.licence for name, package in catalogue.packages.items()},
     }
-    (out / "set.json").write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8", newline="\n")
+    try:
+        kept = _begin(out, about)
+        jobs = [(out, plan, catalogue_path) for plan in plans[len(kept) :]]
+        # Not appended: should two processes write the same set, they write the same bytes to the same places.
+        with (out / "samples.jsonl").open("r+b", buffering=0) as lines:
+            lines.seek(sum(map(len, kept)))
+            for done, row in enumerate(_rows(jobs, workers), start=len(kept) + 1):
+                lines.write(json.dumps(row, ensure_ascii=False).encode() + b"\n")
+                if on_sample:
+                    on_sample(done, n)
+    except OSError as error:
+        raise DataError(f"{str(out)!r} cannot be written: {error}; name another folder with --out") from error
+    except BrokenProcessPool as error:
+        raise ResourceError(
+            "a process that draws was killed, likely for want of memory; the same command with --workers 1 goes on"
+        ) from error
     return out
+
+
+def _begin(out: Path, about: dict[str, Any]) -> list[bytes]:
+    """Make the folders of a set; the rows that it has already.
+
+    Raises ConfigError if the folder holds anything but this set.
+    """
+    card = out / "set.json"
+    if card.is_file():
+        _check_same(out, card, about)
+    elif out.exists() and (not out.is_dir() or not all(map(is_draft, out.iterdir()))):
+        raise ConfigError(f"{str(out)!r} holds something already; name a new folder with --out")
+    else:
+        replace_file(card, (json.dumps(about, indent=2) + "\n").encode())
+    for folder in ("images", "masks", "regions", "objects", "depth"):
+        (out / folder).mkdir(exist_ok=True)
+    rows = out / "samples.jsonl"
+    rows.touch()
+    return [row for row in rows.read_bytes().splitlines(keepends=True) if row.endswith(b"\n")]
+
+
+def _check_same(out: Path, card: Path, about: dict[str, Any]) -> None:
+    try:
+        found = json.loads(card.read_text(encoding="utf-8"))
+    except ValueError:
+        found = None
+    if not isinstance(found, dict):
+        raise ConfigError(f"{str(out)!r} holds something already; name a new folder with --out")
+    differs = next((name for name in about if found.get(name) != about[name]), None)
+    if differs:
+        raise ConfigError(
+            f"{str(out)!r} holds another set, with {differs} {found.get(differs)!r} where {about[differs]!r} is asked "
+            "for; name a new folder with --out"
+        )
 
 
 def _catalogue(path: Path | None) -> Catalogue:
@@ -104,12 +153,25 @@ Job = tuple[Path, Plan, "Path | None"]
 
 
 def _rows(jobs: list[Job], workers: int) -> Iterator[dict[str, Any]]:
-    if workers <= 1:
+    if workers <= 1 or len(jobs) <= 1:
         yield from map(_work, jobs)
         return
     # Spawned, because a forked child would share the parent's graphics context.
-    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=get_context("spawn")) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=spawn, initializer=_end_with_parent) as pool:
         yield from pool.map(_work, jobs)
+
+
+def _end_with_parent() -> None:
+    """See that this process ends when its parent is killed: it would wait for work for ever."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 def _work(job: Job) -> dict[str, Any]:
