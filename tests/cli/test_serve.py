@@ -57,7 +57,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGTERM ends a Windows process at once")
 def test_a_signal_lets_what_is_in_flight_finish_and_takes_no_more(server: Process) -> None:
     assert "offline" in server.line
-    assert "with a token" in server.line
+    assert server.line.endswith("with a token; Ctrl+C ends\n")
     client = Client(server.url, TOKEN, retries=0)
     assert client.ready()
     assert client.predict(PHOTO, "pick up the hammer").status == "ok"
@@ -87,6 +87,12 @@ def test_a_host_that_others_can_reach_needs_a_token_to_start() -> None:
     done = run("serve", "--host", "0.0.0.0", "--port", "0")
     assert done.returncode == 2
     assert "A4_SERVER_TOKEN or --token-file" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_no_time_for_ever() -> None:
+    done = run("serve", "--port", "0", "--seconds", "inf")
+    assert done.returncode == 2
     assert "Traceback" not in done.stderr
 
 

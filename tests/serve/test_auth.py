@@ -41,6 +41,12 @@ def test_a_token_that_would_not_protect_is_refused(tmp_path: Path, content: str)
         auth.read_token("127.0.0.1", tmp_path / "none", {})
 
 
+def test_an_empty_token_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "token").touch()
+    with pytest.raises(ConfigError, match="token' is empty: python -c"):
+        auth.read_token("127.0.0.1", tmp_path / "token", {auth.VARIABLE: TOKEN})
+
+
 def test_only_the_token_opens_the_door(serve: Callable[..., Any], photo: bytes) -> None:
     call = serve(token=TOKEN)
     good = {"Authorization": f"Bearer {TOKEN}"}
@@ -64,7 +70,14 @@ def test_only_the_token_opens_the_door(serve: Callable[..., Any], photo: bytes) 
 
 @pytest.mark.parametrize(
     "headers",
-    [{"Host": "evil.example"}, {"Host": "evil.example:8000"}, {"Origin": "https://evil.example"}, {"Origin": "null"}],
+    [
+        {"Host": "evil.example"},
+        {"Host": "evil.example:8000"},
+        {"Host": "[::"},
+        {"Origin": "https://evil.example"},
+        {"Origin": "null"},
+        {"Origin": "http://[::"},
+    ],
 )
 def test_a_web_page_of_others_cannot_use_an_open_server(serve: Callable[..., Any], headers: dict[str, str]) -> None:
     assert serve()("POST", "/v1/affordances", {}, headers=headers).code == 403

@@ -65,3 +65,31 @@ def test_a_batch_keeps_the_place_of_a_picture_that_cannot_be_used() -> None:
     assert second.reason.startswith("InputError: image")
     with pytest.raises(Refused, match="at most 3 samples"):
         questions.batch_from_json(json.dumps({"samples": samples * 2}).encode(), LIMITS)
+
+
+def test_many_large_pictures_do_not_add_up_in_a_batch() -> None:
+    limits = Limits(pixels=64 * 48, batch=9)
+    samples = [openapi.example()] * 5 + [{**openapi.example(), "image": "AAAA"}]
+    *fit, over, broken = questions.batch_from_json(json.dumps({"samples": samples}).encode(), limits)
+    assert [type(one) for one in fit] == [Question] * 4
+    assert isinstance(over, Unusable)
+    assert over.reason == (
+        "InputError: image: a batch may have 12288 pixels in all; send this picture in another request, or smaller"
+    )
+    assert isinstance(broken, Unusable)
+    assert "not an image" in broken.reason
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        ([], "the body: a JSON object is expected"),
+        ({**openapi.example(), "instruction": " \t"}, "instruction: it is blank"),
+        ({"samples": [3]}, "samples.0: a JSON object is expected"),
+    ],
+)
+def test_what_does_not_fit_is_said_without_jargon(body: object, says: str) -> None:
+    read = questions.batch_from_json if "samples" in str(body) else questions.from_json
+    with pytest.raises(Refused) as caught:
+        read(json.dumps(body).encode(), LIMITS)
+    assert (caught.value.code, caught.value.message) == (422, says)

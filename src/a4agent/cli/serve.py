@@ -29,7 +29,7 @@ def serve(
     max_bytes: Annotated[int, typer.Option(min=1024, help="The most bytes of a request.")] = 32 * 2**20,
     max_pixels: Annotated[int, typer.Option(min=1, help="The most pixels of a picture.")] = 25_000_000,
     queue: Annotated[int, typer.Option(min=0, help="How many requests may wait.")] = 16,
-    seconds: Annotated[float, typer.Option(min=0.1, help="The longest time to an answer.")] = 300.0,
+    seconds: Annotated[float, typer.Option(min=0.1, max=86_400, help="The longest time to an answer.")] = 300.0,
     batch: Annotated[int, typer.Option(min=1, help="The most samples of a batch.")] = 16,
     warm_up: Annotated[
         bool, typer.Option(help="Load the models with one prediction before the first request.")
@@ -59,7 +59,8 @@ def serve(
         _warm_up(agent)
     app = create_app(_agents(agent, workers), profile=settings.name, limits=limits, token=token)
     guarded = "with a token" if token else "for this machine only"
-    common.messages.print(f"serving the profile {settings.name!r} at {run.url_of(listening)} {guarded}; Ctrl+C ends")
+    place = run.url_of(listening)
+    common.messages.print(f"serving the profile {settings.name!r} at {place} {guarded}; Ctrl+C ends", soft_wrap=True)
     run.run(app, listening, seconds=seconds)
 
 

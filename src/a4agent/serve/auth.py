@@ -14,6 +14,7 @@ from a4agent.serve.limits import Refused
 
 VARIABLE = "A4_SERVER_TOKEN"
 SHORTEST = 16
+MAKE_TOKEN = "python -c 'import secrets; print(secrets.token_urlsafe())'"
 OPEN_PATHS = frozenset({"/healthz", "/readyz", "/openapi.json"})
 """What probes and code generators may read without a token; nothing here tells about requests."""
 
@@ -45,11 +46,13 @@ def read_token(host: str, token_file: Path | None = None, environ: Mapping[str, 
         token = (os.environ if environ is None else environ).get(VARIABLE, "").strip()
         source = VARIABLE
     if not token:
-        if token_file is None and is_loopback(host):
+        if token_file is not None:
+            raise ConfigError(f"the token file {str(token_file)!r} is empty: {MAKE_TOKEN} > {str(token_file)!r}")
+        if is_loopback(host):
             return None
         raise ConfigError(
             f"serving on {host!r} needs a token, because others can reach it: set {VARIABLE} or --token-file"
-            " (python -c 'import secrets; print(secrets.token_urlsafe())' makes one), or serve on 127.0.0.1"
+            f" ({MAKE_TOKEN} makes one), or serve on 127.0.0.1"
         )
     if len(token) < SHORTEST or not token.isascii() or not token.isprintable() or " " in token:
         raise ConfigError(f"the token in {source} must be {SHORTEST} or more printable ASCII characters without spaces")
@@ -68,10 +71,9 @@ def check(token: str | None, path: str, headers: Mapping[str, str]) -> None:
     if path in OPEN_PATHS:
         return
     if token is None:
-        host = urlsplit(f"//{headers.get('host', '')}").hostname or ""
         origin = headers.get("origin")
         from_elsewhere = origin is not None and not is_loopback(_host_of(origin))
-        if not is_loopback(host) or from_elsewhere:
+        if not is_loopback(_host_of(f"//{headers.get('host', '')}")) or from_elsewhere:
             raise Refused(403, "this server answers only requests made to and from this machine")
         return
     kind, _, given = headers.get("authorization", "").partition(" ")
@@ -79,8 +81,9 @@ def check(token: str | None, path: str, headers: Mapping[str, str]) -> None:
         raise Refused(401, "this server needs its token: send the header 'Authorization: Bearer TOKEN'")
 
 
-def _host_of(origin: str) -> str:
+def _host_of(url: str) -> str:
+    """The host that a URL names; "" for one that cannot be read."""
     try:
-        return urlsplit(origin).hostname or ""
+        return urlsplit(url).hostname or ""
     except ValueError:
         return ""

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Limits:
-    """What the server takes. Worst-case memory is about `(queue + workers) * (body_bytes + 3 * pixels)` bytes.
+    """What the server takes.
+
+    Worst-case memory is about `(queue + workers) * (body_bytes + 3 * pixels)` bytes, with `batch_pixels` for `pixels`
+    where callers send batches.
 
     Attributes:
         body_bytes: the most bytes of a request's body; more is a 413.
@@ -24,6 +27,11 @@ class Limits:
     seconds: float = 300.0
     upload_seconds: float = 30.0
     batch: int = 16
+
+    @property
+    def batch_pixels(self) -> int:
+        """The most pixels of a batch's pictures together; those beyond are refused one by one."""
+        return 4 * self.pixels
 
 
 class Refused(Exception):

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 LONGEST_TEXT = 2000
 FORM_FIELDS = ("image", "instruction", "part", "id")
+_PLAIN = {"string_pattern_mismatch": "it is blank", "model_type": "a JSON object is expected"}
+"""What pydantic says of two mistakes in words of its own."""
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 Text = Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT, pattern=r"\S")]
@@ -79,7 +81,7 @@ def from_json(body: bytes, limits: Limits) -> Question:
     Raises:
         Refused: 400 not JSON, 413 too many pixels, 422 a field or a picture that cannot be used.
     """
-    return _question(_validated(SampleIn, _parsed(body)), limits)
+    return _question(_validated(SampleIn, _parsed(body)), limits, limits.pixels)
 
 
 def batch_from_json(body: bytes, limits: Limits) -> list[Question | Unusable]:
@@ -92,11 +94,15 @@ def batch_from_json(body: bytes, limits: Limits) -> list[Question | Unusable]:
     if len(batch.samples) > limits.batch:
         raise Refused(422, f"a batch has at most {limits.batch} samples, not {len(batch.samples)}")
     questions: list[Question | Unusable] = []
+    left = limits.batch_pixels
     for sample in batch.samples:
         try:
-            questions.append(_question(sample, limits))
+            question = _question(sample, limits, left)
         except Refused as refused:
             questions.append(Unusable(f"InputError: {refused.message}", sample.instruction, sample.id))
+        else:
+            left -= question.picture.width * question.picture.height
+            questions.append(question)
     return questions
 
 
@@ -111,7 +117,7 @@ def from_form(fields: Mapping[str, object], image: bytes | None, limits: Limits)
         raise Refused(422, f"unknown field {unknown[0][:50]!r}; known: {', '.join(FORM_FIELDS)}")
     if image is None:
         raise Refused(422, "the field 'image' is missing or has no file; send the picture as a file")
-    return _with_picture(_validated(SampleIn, {**fields, "image": "a file"}), image, limits)
+    return _with_picture(_validated(SampleIn, {**fields, "image": "a file"}), image, limits, limits.pixels)
 
 
 def _parsed(body: bytes) -> Any:
@@ -127,10 +133,10 @@ def _validated(model: type[ModelT], value: Any) -> ModelT:
     except ValidationError as error:
         first = error.errors(include_input=False, include_url=False, include_context=False)[0]
         place = ".".join(str(part)[:50] for part in first["loc"]) or "the body"
-        raise Refused(422, f"{place}: {first['msg']}") from error
+        raise Refused(422, f"{place}: {_PLAIN.get(first['type'], first['msg'])}") from error
 
 
-def _question(sample: SampleIn, limits: Limits) -> Question:
+def _question(sample: SampleIn, limits: Limits, left: int) -> Question:
     text = sample.image
     if "://" in text[:32]:
         raise Refused(422, "image: this server fetches no URLs; send the bytes of the picture in base64")
@@ -140,13 +146,16 @@ def _question(sample: SampleIn, limits: Limits) -> Question:
         data = base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError) as error:
         raise Refused(422, f"image: not base64 ({error})") from error
-    return _with_picture(sample, data, limits)
+    return _with_picture(sample, data, limits, left)
 
 
-def _with_picture(sample: SampleIn, data: bytes, limits: Limits) -> Question:
+def _with_picture(sample: SampleIn, data: bytes, limits: Limits, left: int) -> Question:
     try:
-        picture = load_image(data, max_pixels=limits.pixels)
+        picture = load_image(data, max_pixels=min(limits.pixels, left))
     except TooManyPixels as error:
+        if left < limits.pixels:
+            together = f"a batch may have {limits.batch_pixels} pixels in all; send this picture in another request"
+            raise Refused(413, f"image: {together}, or smaller") from error
         raise Refused(413, f"image: more than {limits.pixels} pixels; send it smaller") from error
     except InputError as error:
         raise Refused(422, f"image: {error}") from error
