@@ -37,6 +37,12 @@ def test_a_score_can_name_revision_and_rows(reasonaff_path: Path) -> None:
     assert create(reasonaff_path).expected == 600
 
 
+def test_a_file_that_others_leave_beside_changes_nothing(reasonaff_path: Path) -> None:
+    before = create(reasonaff_path).fingerprint()
+    (reasonaff_path / "test" / "cache-1f0c3a9e.arrow").write_bytes(b"of somebody's map()")
+    assert create(reasonaff_path).fingerprint() == before
+
+
 def test_the_split_itself_is_as_good(reasonaff_path: Path) -> None:
     assert [sample.id for sample in create(reasonaff_path / "test")] == ["00000-mug_1", "00001-mug_1"]
 

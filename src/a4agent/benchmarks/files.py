@@ -40,7 +40,7 @@ def confined(root: Path, relative: str) -> Path:
         raise DataError(f"not a file name: {relative!r}")
     try:
         path = (root / relative).resolve()
-    except (OSError, RuntimeError) as error:
+    except (OSError, RuntimeError, UnicodeError) as error:
         raise DataError(f"the dataset's file name {relative!r} cannot be followed: {error}") from error
     if Path(relative).is_absolute() or not path.is_relative_to(root):
         raise DataError(

@@ -41,13 +41,12 @@ def create(path: str | Path) -> Benchmark:
     """
     root = files.folder(path, "reasonaff")
     split = root / "test" if (root / "test").is_dir() else root
-    table = _open(root, split)
+    table, shards = _open(root, split)
     missing = [name for name in ("image", "problem", "mask") if name not in table.column_names]
     if missing:
         raise DataError(f"the data set in {str(split)!r} has no column {missing[0]!r}, only {table.column_names}")
     questions = table.select_columns([name for name in table.column_names if name != "mask"])
     masks = table.select_columns(["mask"])
-    shards = sorted(file.relative_to(root).as_posix() for file in split.glob("*.arrow"))
     return Benchmark(
         name="reasonaff",
         licence="see the dataset's page",
@@ -62,15 +61,17 @@ def create(path: str | Path) -> Benchmark:
     )
 
 
-def _open(root: Path, split: Path) -> Any:
-    """The saved split, read from disk row by row, undecoded."""
+def _open(root: Path, split: Path) -> tuple[Any, list[str]]:
+    """The saved split, read from disk row by row, undecoded, and the names of its files below `root`."""
     datasets = cast(Any, require("datasets", extra="bench"))
     if not (split / STATE).is_file():
         raise DataError(f"{str(root)!r} holds no split 'test' written with save_to_disk. Where to get it: {SOURCE}")
     try:
-        for shard in files.read_json(split / STATE)["_data_files"]:
-            files.confined(root, str((split / shard["filename"]).relative_to(root)))
-        return datasets.Dataset.load_from_disk(str(split)).with_format("arrow")
+        named = [split / shard["filename"] for shard in files.read_json(split / STATE)["_data_files"]]
+        shards = [path.relative_to(root).as_posix() for path in named]
+        for shard in shards:
+            files.confined(root, shard)
+        return datasets.Dataset.load_from_disk(str(split)).with_format("arrow"), shards
     except DataError:
         raise
     except Exception as error:  # pyarrow and datasets raise errors of many kinds for a damaged folder
