@@ -18,6 +18,7 @@ def test_every_published_table_is_rectangular_and_in_percent() -> None:
         assert all(column.measure in MEASURES for column in table.columns)
     assert published.table("umd").rows["A4-Agent"] == (65.38, 59.81, 77.31, 43.78)
     assert published.table("ragnet").rows["AffordanceVLM"] == (38.1, 39.4, 58.3, 58.1, 58.2, 57.8)
+    assert published.table("ablation-components").rows["AffordanceVLM"] == (38.1, 39.4)
     assert published.table("ablation-stages").rows["Spotter"] == (45.91, 39.82)
     with pytest.raises(UnknownNameError, match="did you mean 'ragnet'"):
         published.table("ragnett")
