@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from a4agent.runs import scores
@@ -46,6 +47,18 @@ def test_groups_are_the_category_and_tags_that_say_something_else(run: Run) -> N
     order = [group.giou for group in found["category"].values()]
     assert order == sorted(order), "worst first"
     assert sum(group.n for group in found["category"].values()) == 20
+
+
+def test_a_group_of_which_nothing_is_scored_comes_last(run: Run) -> None:
+    empty = {"status": "ok", "intersection": 0, "union": 0, "truth_pixels": 0, "prediction_pixels": 0}
+    records = {
+        id: Record({**record.row, "category": f"kind {i % 5}", **(empty if i % 5 == 2 else {})})
+        for i, (id, record) in enumerate(run.records.items())
+    }
+    found = scores.by_group(replace(run, records=records), "affordance-r1")["category"]
+    order = [group.giou for group in found.values()]
+    assert np.isnan(order[-1])
+    assert order[:-1] == sorted(order[:-1])
 
 
 def test_another_protocol_may_be_asked_for(run: Run) -> None:

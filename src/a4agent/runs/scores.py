@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping
+from math import isnan
 from typing import Any
 
 from a4agent import metrics
@@ -31,7 +32,7 @@ def score(run: Run, protocol: str | None = None) -> Scores:
 
 
 def by_group(run: Run, protocol: str | None = None) -> dict[str, dict[str, Scores]]:
-    """The scores by "category" and by each tag of the samples, worst gIoU first.
+    """The scores by "category" and by each tag of the samples, worst gIoU first, those without one last.
 
     What the benchmark does not have is left out, and so is a tag that says the same as the category.
     """
@@ -45,7 +46,7 @@ def by_group(run: Run, protocol: str | None = None) -> dict[str, dict[str, Score
     for name, values in columns.items():
         if any(values):
             groups = metrics.score_by([r.scored for r in records], values, protocol or protocol_of(run))
-            found[name] = dict(sorted(groups.items(), key=lambda item: (item[1].giou, item[0])))
+            found[name] = dict(sorted(groups.items(), key=lambda item: (isnan(item[1].giou), item[1].giou, item[0])))
     return found
 
 
