@@ -205,11 +205,12 @@ def test_of_several_right_answers_the_best_one_is_scored_and_kept(bench: MakeBen
     assert run.records["picture 14"].tags == {"size": "s"}
 
 
-def test_two_samples_of_one_id_are_refused(bench: MakeBench, data: Path) -> None:
+def test_two_samples_of_one_id_are_refused(bench: MakeBench, data: Path, settings: Settings) -> None:
     whole = registry.load("folder", data)
     twice = replace(whole, sample=lambda i: whole[i % 2])
+    one_by_one = settings.model_copy(update={"engine": settings.engine.model_copy(update={"in_flight": 1})})
     with pytest.raises(DataError, match="same id 'picture 0'"):
-        bench(benchmark=twice).run(pictures.agent(seconds=0.05))
+        bench(benchmark=twice, settings=one_by_one).run(pictures.agent())
 
 
 def test_progress_counts_what_is_there_and_what_is_new(bench: MakeBench) -> None:

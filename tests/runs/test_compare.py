@@ -47,7 +47,7 @@ def test_a_run_against_itself_differs_in_nothing(bench: MakeBench) -> None:
 
 def test_runs_on_other_data_are_not_compared(bench: MakeBench, tmp_path: Path) -> None:
     other = registry.load("folder", pictures.write_folder(tmp_path / "other", 5, first=100))
-    with pytest.raises(DataError, match=r"a and b: .*share no sample"):
+    with pytest.raises(DataError, match=r"a' and '.*b': .*share no sample"):
         compare(bench("a").run(pictures.agent()), bench("b", benchmark=other).run(pictures.agent()))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from a4agent.errors import DataError
+from a4agent.runs import lock
 from a4agent.runs.lock import hold
 
 
@@ -17,6 +19,17 @@ def test_a_lock_is_held_by_one_and_free_again_afterwards(tmp_path: Path) -> None
     with hold(path), pytest.raises(DataError, match="is being written by process"), hold(path):
         pass
     with hold(path):
+        pass
+
+
+def test_a_file_system_without_locks_is_not_blamed_on_another_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: int) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(lock, "_lock", refuse)
+    with pytest.raises(OSError, match="No locks available"), hold(tmp_path / "lock"):
         pass
 
 

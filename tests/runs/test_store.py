@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import uuid
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from a4agent import metrics
 from a4agent.errors import ConfigError, DataError
 from a4agent.runs.manifest import Manifest
-from a4agent.runs.store import RunWriter, read_run, write_atomically
+from a4agent.runs.store import Record, RunWriter, read_run, write_atomically
 
 
 def manifest(**identity: object) -> Manifest:
@@ -36,6 +40,13 @@ def test_a_run_is_written_and_read_back(tmp_path: Path) -> None:
     assert rows == [("a", 0.75, "ä\u2028\n"), ("b", 0.0, "ä\u2028\n")]
     assert found.planned == 3
     assert not found.complete
+
+
+def test_a_failed_sample_is_no_hit_though_truth_and_prediction_are_empty() -> None:
+    empty = {"intersection": 0, "union": 0, "truth_pixels": 0}
+    found = [Record({**empty, "status": status}) for status in ("ok", "empty", "invalid", "error")]
+    assert [record.iou for record in found] == [1, 1, 0, 0]
+    assert [record.iou for record in found] == [metrics.iou(record.scored) for record in found]
 
 
 def test_a_row_is_on_disk_before_the_next_one(tmp_path: Path) -> None:
@@ -182,5 +193,31 @@ def test_a_full_disk_stops_the_run_and_costs_one_line(tmp_path: Path, monkeypatc
 
 def test_a_folder_that_cannot_be_made_says_so(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(DataError, match="cannot be made"), RunWriter(tmp_path / "file" / "run", manifest()):
+    with (
+        pytest.raises(DataError, match=r"cannot be written: .*--out"),
+        RunWriter(tmp_path / "file" / "run", manifest()),
+    ):
         pass
+
+
+@pytest.mark.parametrize("name", ["lock", "samples.jsonl", "images"])
+def test_a_file_that_cannot_be_opened_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        run.add(row("a"))
+    (tmp_path / "run" / "images").mkdir()
+
+    def refusing(function: Callable[..., Any]) -> Callable[..., Any]:
+        def called(path: Any, *arguments: Any, **named: Any) -> Any:
+            if Path(path).name == name:
+                raise PermissionError(errno.EACCES, "Permission denied", str(path))
+            return function(path, *arguments, **named)
+
+        return called
+
+    for place, function in ((os, "open"), (Path, "open"), (Path, "iterdir")):
+        monkeypatch.setattr(place, function, refusing(getattr(place, function)))
+    with pytest.raises(DataError, match=r"'.*run' cannot be written: .*Permission denied.*--out"):
+        RunWriter(tmp_path / "run", manifest()).__enter__()
+    monkeypatch.undo()
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        assert list(run.records) == ["a"], "the lock is free again"

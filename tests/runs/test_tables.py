@@ -39,6 +39,22 @@ def test_our_row_stands_under_the_published_one_of_its_name(on: Callable[..., Ru
     assert [name for name, ours in names if not ours] == list(published.table("umd").rows)
 
 
+def test_a_configuration_is_found_under_each_name_that_a_table_gave_it(on: Callable[..., Run]) -> None:
+    for label in ("without Dreamer, GPT-4o", "Thinker + Spotter", "GPT-4o, SAM2-L"):
+        on("ragnet-3doi", label=label)
+    run = on("ragnet-3doi")
+    assert run.manifest.label == "GPT-4o, SAM2-L", "a start without a name takes none away"
+    for key, name in {
+        "ablation-imagination": "without Dreamer, GPT-4o",
+        "ablation-components": "GPT-4o, SAM2-L",
+        "ablation-stages": "Thinker + Spotter",
+        "ragnet": "GPT-4o, SAM2-L",
+    }.items():
+        (table,) = fill([run], key)
+        assert [line.name for line in table.lines if line.source == "ours"] == [name]
+        assert any(note.startswith(f"{name} on ragnet-3doi") for note in table.notes)
+
+
 def test_a_cell_is_the_runs_score_in_percent(on: Callable[..., Run]) -> None:
     run = on("umd")
     (table,) = fill([run])

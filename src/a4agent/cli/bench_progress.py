@@ -24,7 +24,7 @@ class Display:
         self._told = self._started
         self._bar = _bar() if messages.is_terminal else None
         self._task = self._bar and self._bar.add_task(
-            title, total=progress.planned, completed=progress.scored, words=words(progress, 0.0)
+            title, total=progress.planned, completed=progress.planned - progress.left, words=words(progress, 0.0)
         )
 
     def __enter__(self) -> Display:
@@ -38,12 +38,12 @@ class Display:
 
     def update(self, progress: Progress) -> None:
         now = time.monotonic()
-        text = words(progress, now - self._started)
+        done, text = progress.planned - progress.left, words(progress, now - self._started)
         if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, completed=progress.scored + len(progress.unscored), words=text)
+            self._bar.update(self._task, completed=done, words=text)
         elif now - self._told > PLAIN_SECONDS:
             self._told = now
-            messages.print(f"{self._title}: {progress.scored} of {progress.planned}, {text}", soft_wrap=True)
+            messages.print(f"{self._title}: {done} of {progress.planned}, {text}", soft_wrap=True)
 
 
 def words(progress: Progress, seconds: float) -> str:
@@ -53,8 +53,8 @@ def words(progress: Progress, seconds: float) -> str:
         parts.append(f"{progress.failed + len(progress.unscored)} failed")
     if progress.asked and seconds > 0:
         rate = progress.asked / seconds
-        left = max(progress.to_ask - progress.asked, 0) / rate
-        parts += [f"{rate:.1f}/s" if rate >= 0.1 else f"{60 * rate:.1f}/min", f"{_clock(left)} left"]
+        parts.append(f"{rate:.1f}/s" if rate >= 0.1 else f"{60 * rate:.1f}/min")
+        parts.append(f"{_clock(progress.left / rate)} left")
     if progress.cost:
         parts.append(f"${progress.cost:.2f}")
     return ", ".join(parts)

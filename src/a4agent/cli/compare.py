@@ -53,7 +53,7 @@ def _show_pair(pair: Pair) -> None:
     from a4agent.metrics import MEASURES
 
     result = pair.result
-    print(f"{pair.first.name}  ->  {pair.second.name}")
+    print(f"{pair.first.folder}  ->  {pair.second.folder}")
     print(
         f"{result.n_shared} shared samples, {result.n_only_first} only in the first, {result.n_only_second} only"
         f" in the second; protocol {result.first.protocol}"

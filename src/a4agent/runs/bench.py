@@ -67,6 +67,11 @@ class Progress:
     _counted: int = 0
 
     @property
+    def left(self) -> int:
+        """How many samples this session may still ask for."""
+        return max(self.to_ask - self.asked - len(self.unscored), 0)
+
+    @property
     def giou(self) -> float:
         """Of the samples so far; NaN before the first."""
         return self._iou / self._counted if self._counted else float("nan")
@@ -115,6 +120,7 @@ class Bench:
             about={
                 "profile": self.settings.name,
                 "label": self.label,
+                "labels": [self.label] if self.label else [],
                 "data": str(self.benchmark.root),
                 "licence": self.benchmark.licence,
                 "settings": settings_told(self.settings),
@@ -192,6 +198,7 @@ class Session:
         """The samples that are wanted with their answers, as they are ready."""
         benchmark, oracle = self._work.benchmark, self._work.oracle
         in_flight: dict[str, Sample] = {}
+        seen: set[str] = set()
 
         def queries() -> Iterator[Query]:
             for index in self._indices:
@@ -200,8 +207,9 @@ class Session:
                 except UserError as error:  # a row that is refused, such as a picture outside of the dataset
                     self.progress.unscored[f"sample {index}"] = str(error)
                     continue
-                if sample.id in in_flight:
+                if sample.id in seen:
                     raise DataError(f"two samples of {benchmark.name!r} have the same id {sample.id!r}")
+                seen.add(sample.id)
                 if self._writer.wants(sample.id) and self._truths(sample):  # nothing is paid for what has no score
                     in_flight[sample.id] = sample
                     yield sample.query

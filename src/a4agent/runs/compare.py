@@ -49,7 +49,7 @@ def compare(first: Run, second: Run, protocol: str | None = None) -> Pair:
     try:
         result = metrics.compare(scores.rows_of(first), scores.rows_of(second), protocol)
     except DataError as error:
-        raise DataError(f"{first.name} and {second.name}: {error}") from error
+        raise DataError(f"{str(first.folder)!r} and {str(second.folder)!r}: {error}") from error
     configurations = [_configuration(run) for run in (first, second)]
     if first.external or second.external:  # of another system only its name is known
         for run, found in zip((first, second), configurations, strict=True):

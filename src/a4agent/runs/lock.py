@@ -18,12 +18,13 @@ def hold(path: Path) -> Generator[None, None, None]:
 
     Raises:
         DataError: another process (or another writer in this one) holds it.
+        OSError: it cannot be opened, or the file system has no locks.
     """
     file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         try:
             _lock(file)
-        except OSError as error:
+        except (BlockingIOError, PermissionError) as error:  # POSIX, Windows
             holder = path.read_text(encoding="utf-8", errors="replace").strip() or "another process"
             raise DataError(f"{str(path.parent)!r} is being written by {holder}; wait for it, or stop it") from error
         os.ftruncate(file, 0)

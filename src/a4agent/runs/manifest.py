@@ -3,13 +3,13 @@
     {
      "schema": 1,
      "identity": {                                    # two runs with one identity give the same answers
-       "benchmark": "umd", "options": {"rule": "a4"}, "data": {"fingerprint": "9f3c...", "samples": 1922},
-       "selection": {"limit": 100, "shuffle": 7}, "protocol": "strict", "oracle": null,
+       "benchmark": "umd", "data": {"options": {"rule": "a4"}, "revision": "", "rows": 1922, "sha256": "9f3c...", ...},
+       "selection": {"limit": 100, "shuffle": 7, "samples": 100}, "protocol": "strict", "oracle": null,
        "settings": {"dreamer": null, "thinker": {"vlm": "openai:gpt-4o", "prompts": "paper", ...}, "spotter": ...},
        "experts": [{"id": "sam2:tiny", "revision": "", "settings": {...}}],
        "prompts": {"thinker": "8d0b2f..."}
      },
-     "about": {"profile": "paper", "label": "A4-Agent", "data": "/data/umd", "licence": "...", "settings": {...}},
+     "about": {"profile": "paper", "label": "A4-Agent", "labels": ["A4-Agent"], "data": "/data/umd", ...},
      "sessions": [{"started": "2026-11-22T07:40:00+00:00", "command": "a4 bench ...", "versions": {...}, "git": {...}}]
     }
 
@@ -67,6 +67,17 @@ class Manifest:
         name = str(self.about.get("label") or self.about.get("profile") or self.hash)
         oracle = self.identity.get("oracle")
         return f"{name}, {oracle} by the truth" if oracle else name
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """All names that tables gave this configuration; one may be a row of several."""
+        return tuple(self.about.get("labels") or ())
+
+    def taking_up(self, there: Manifest) -> Manifest:
+        """This manifest with the sessions and the names of the one that is `there`, of the same configuration."""
+        named = self.about.get("label") or there.about.get("label") or ""
+        labels = list(dict.fromkeys(filter(None, (*there.labels, named))))
+        return Manifest(there.identity, {**there.about, **self.about, "label": named, "labels": labels}, there.sessions)
 
     def with_session(self) -> Manifest:
         """The same manifest with the circumstances of this process added."""

@@ -76,9 +76,9 @@ class Record:
 
     @property
     def iou(self) -> float:
-        """By the strict protocol: 1 if truth and prediction are both empty."""
-        row = self.row
-        return row["intersection"] / row["union"] if row["union"] else 1.0
+        """By the strict protocol: 1 if truth and prediction are both empty, and 0 for a failed sample."""
+        scored = self.scored
+        return scored.intersection / scored.union if scored.union else float(not scored.failed)
 
     @property
     def category(self) -> str:
@@ -121,10 +121,6 @@ class Run:
     folder: Path
     manifest: Manifest
     records: Mapping[str, Record]
-
-    @property
-    def name(self) -> str:
-        return self.folder.name
 
     @property
     def planned(self) -> int:
@@ -215,13 +211,19 @@ class RunWriter:
             ConfigError: the folder belongs to another configuration; the message says what differs.
             DataError: it is another process's, or not a run folder.
         """
+        try:
+            self._take_up()
+        except OSError as error:
+            raise DataError(
+                f"{str(self.folder)!r} cannot be written: {error}; choose another folder with --out"
+            ) from error
+        return self
+
+    def _take_up(self) -> None:
         path = self.folder / "manifest.json"
         if not path.exists() and self.folder.is_dir() and _foreign(self.folder):
             raise DataError(f"{str(self.folder)!r} holds other files and no run; choose another folder with --out")
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise DataError(f"{str(self.folder)!r} cannot be made: {error}") from error
+        self.folder.mkdir(parents=True, exist_ok=True)
         with ExitStack() as held:
             held.enter_context(hold(self.folder / "lock"))
             _sweep(self.folder)
@@ -236,7 +238,6 @@ class RunWriter:
             self._file = os.open(samples, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o644)
             held.callback(os.close, self._file)
             self._held = held.pop_all()
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._held.close()
@@ -287,10 +288,9 @@ class RunWriter:
         if found:
             shown = "; ".join(found[:6]) + (f"; and {len(found) - 6} more" if len(found) > 6 else "")
             raise ConfigError(
-                f"{str(self.folder)!r} is the run of another configuration ({shown}). Choose another folder with --out"
-                " or leave --out away: the default name holds the configuration"
+                f"{str(self.folder)!r} is the run of another configuration ({shown}); choose another folder with --out"
             )
-        self.manifest = Manifest(there.identity, {**there.about, **self.manifest.about}, there.sessions)
+        self.manifest = self.manifest.taking_up(there)
 
 
 def write_atomically(path: Path, data: bytes) -> None:

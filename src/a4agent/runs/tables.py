@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -60,10 +60,8 @@ class Filled:
         return {"markdown": _markdown, "latex": _latex, "csv": _csv}[form](self)
 
 
-def fill(runs: Sequence[Run], key: str | None = None, labels: Mapping[str, str] | None = None) -> list[Filled]:
+def fill(runs: Sequence[Run], key: str | None = None) -> list[Filled]:
     """Every published table that the runs have columns of, or the one named; then what no table has room for.
-
-    `labels` names systems (`Manifest.system`) otherwise than their runs do.
 
     Raises:
         UnknownNameError: no such table.
@@ -75,40 +73,43 @@ def fill(runs: Sequence[Run], key: str | None = None, labels: Mapping[str, str] 
         if not chosen:
             on = ", ".join(sorted({_benchmark(run) for run in runs}))
             raise DataError(f"table {key!r} is of {', '.join(table.benchmarks)}, and the runs are on {on}")
-        return [_filled(table, chosen, labels or {})]
+        return [_filled(table, chosen)]
     tables = dict.fromkeys(published.of_benchmark(_benchmark(run)) for run in runs)
-    found = [_filled(t, [r for r in runs if _benchmark(r) in t.benchmarks], labels or {}) for t in tables if t]
+    found = [_filled(t, [r for r in runs if _benchmark(r) in t.benchmarks]) for t in tables if t]
     for benchmark in dict.fromkeys(_benchmark(run) for run in runs):
         if published.of_benchmark(benchmark) is None:
-            found.append(_alone(benchmark, [run for run in runs if _benchmark(run) == benchmark], labels or {}))
+            found.append(_alone(benchmark, [run for run in runs if _benchmark(run) == benchmark]))
     return found
 
 
-def _filled(table: Table, runs: Sequence[Run], labels: Mapping[str, str]) -> Filled:
+def _filled(table: Table, runs: Sequence[Run]) -> Filled:
     theirs = [Line(name, tuple(Cell(value) for value in values)) for name, values in table.rows.items()]
     ours = [
         Line(name, tuple(_cell(run_of.get(column.benchmark), column.measure) for column in table.columns), source)
-        for name, source, run_of in _systems(runs, labels)
+        for name, source, run_of in _systems(runs, table.rows)
     ]
     return Filled(
         title=f"Table {table.number} of {published.SOURCE}: {table.title}",
         columns=tuple(column.name for column in table.columns),
         decimals=table.decimals,
         lines=tuple(_beside(theirs, ours)),
-        notes=(*table.notes, *_notes(runs)),
+        notes=(*table.notes, *_notes(runs, table.rows)),
     )
 
 
-def _alone(benchmark: str, runs: Sequence[Run], labels: Mapping[str, str]) -> Filled:
+def _alone(benchmark: str, runs: Sequence[Run]) -> Filled:
     lines = [
         Line(name, tuple(_cell(run_of[benchmark], measure) for measure in metrics.MEASURES), source)
-        for name, source, run_of in _systems(runs, labels)
+        for name, source, run_of in _systems(runs, ())
     ]
-    return Filled(benchmark, tuple(metrics.MEASURES.values()), 2, tuple(lines), tuple(_notes(runs)))
+    return Filled(benchmark, tuple(metrics.MEASURES.values()), 2, tuple(lines), tuple(_notes(runs, ())))
 
 
-def _systems(runs: Iterable[Run], labels: Mapping[str, str]) -> list[tuple[str, Source, dict[str, Run]]]:
-    """(label, source, run by benchmark) of each system; the second run of one benchmark starts a row of its own."""
+def _systems(runs: Iterable[Run], names: Container[str]) -> list[tuple[str, Source, dict[str, Run]]]:
+    """(label, source, run by benchmark) of each system; the second run of one benchmark starts a row of its own.
+
+    Of the labels that a system has had, its own if no other is one of a table's `names`.
+    """
     rows: list[tuple[str, str, Source, dict[str, Run]]] = []
     for run in runs:
         system = run.manifest.system
@@ -116,9 +117,15 @@ def _systems(runs: Iterable[Run], labels: Mapping[str, str]) -> list[tuple[str, 
         if row is None:
             row = {}
             source: Source = "scored here" if run.external else "ours"
-            rows.append((system, labels.get(system, run.manifest.label), source, row))
+            rows.append((system, _label(run, names), source, row))
         row[_benchmark(run)] = run
     return [(label, source, row) for _, label, source, row in rows]
+
+
+def _label(run: Run, names: Container[str]) -> str:
+    if run.manifest.label in names or run.manifest.identity.get("oracle"):
+        return run.manifest.label
+    return next((label for label in run.manifest.labels if label in names), run.manifest.label)
 
 
 def _beside(theirs: Sequence[Line], ours: Sequence[Line]) -> list[Line]:
@@ -144,7 +151,7 @@ def _cell(run: Run | None, measure: str) -> Cell:
     return Cell(100 * value, 50 * (high - low) if high == high else None)
 
 
-def _notes(runs: Iterable[Run]) -> list[str]:
+def _notes(runs: Iterable[Run], names: Container[str]) -> list[str]:
     """How each run came about: a number without this is not worth printing."""
     notes: list[str] = []
     for run in runs:
@@ -153,7 +160,7 @@ def _notes(runs: Iterable[Run]) -> list[str]:
         chosen = f", the first {selection['limit']}" if selection["limit"] else ""
         shuffled = f" after a shuffle with seed {selection['shuffle']}" if selection["shuffle"] is not None else ""
         notes.append(
-            f"{run.manifest.label} on {_benchmark(run)} ({run.manifest.hash}): protocol {found.protocol},"
+            f"{_label(run, names)} on {_benchmark(run)} ({run.manifest.hash}): protocol {found.protocol},"
             f" {found.n} samples{part}{chosen}{shuffled}, {found.n_scored} scored, {found.n_failed} failed."
         )
     return notes
