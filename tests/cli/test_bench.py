@@ -147,6 +147,39 @@ def test_a_budget_ends_a_run_and_the_next_one_goes_on(a4: Type) -> None:
     assert read_run("run").complete
 
 
+def test_a_suite_has_one_budget(a4: Type) -> None:
+    systems = "".join(
+        f'[[system]]\nlabel = "{pairing}"\nprofile = "drawn.toml"\nset = {{"spotter.pairing" = "{pairing}"}}\n'
+        for pairing in ("optimal", "paper")
+    )
+    Path("mine.toml").write_text(f'benchmarks = ["folder"]\n{systems}')
+    suite = ("bench", "--suite", "mine.toml", "--data", "data", "--set", "engine.in_flight=1", "--max-cost")
+    code, out, err = a4(*suite, "0.1")
+    assert code == 1
+    assert "engine.max_cost = 0.1" in err
+    assert "**optimal** (ours)" in out
+    assert len(list(Path("runs").iterdir())) == 1, "the second system is not started on a budget that is used up"
+    a4(*suite, "0.2")
+    assert sum(record.cost for run in Path("runs").iterdir() for record in read_run(run).records.values()) <= 0.3
+
+
+def test_data_without_samples_is_a_mistake(a4: Type) -> None:
+    Path("none").mkdir()
+    Path("none/samples.jsonl").write_text("")
+    code, _, err = a4("bench", "folder", "--data", "none", "--profile", "drawn.toml", "--out", "run")
+    assert code == 2
+    assert "has no samples; `a4 data check`" in err
+    assert not Path("run").exists()
+
+
+def test_a_retry_that_the_cache_answers_is_told(a4: Type, tmp_path: Path) -> None:
+    cached = (*BENCH, "--out", "run", "--cache", "write", "--set", f"engine.cache_dir={tmp_path / 'cache'}")
+    a4(*cached)
+    assert "--cache off" not in a4(*cached)[2]
+    assert "with --cache off it is" in a4(*cached, "--retry", "invalid,empty")[2]
+    assert "--cache off" not in a4(*BENCH, "--out", "run", "--retry", "invalid,empty")[2]
+
+
 def test_the_cache_is_one_switch_and_tells_what_it_saved(a4: Type, tmp_path: Path) -> None:
     cache = ("--cache", "write", "--set", f"engine.cache_dir={tmp_path / 'cache'}")
     a4(*BENCH, "--out", "first", *cache)
@@ -201,3 +234,18 @@ def test_the_live_line_says_how_far_it_is() -> None:
     progress.asked, progress.cost = 2, 0.25
     assert words(progress, 4.0) == "gIoU 30.0, 1 failed, 0.5/s, 0:00:56 left, $0.25"
     assert words(progress, 400.0).startswith("gIoU 30.0, 1 failed, 0.3/min, 1:33:20 left")
+
+
+def test_the_live_line_of_a_retry_does_not_begin_at_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    progress = Progress(planned=40, to_ask=30)
+    for _ in range(40):
+        progress.count(Row(60, 100), "strict")
+    progress.asked, progress.unscored = 9, {"picture 1": "no such mask"}
+    assert progress.left == 20
+    assert words(progress, 9.0) == "gIoU 60.0, 1 failed, 1.0/s, 0:00:20 left"
+    console = Console(file=io.StringIO(), force_terminal=True, width=80, color_system=None)
+    monkeypatch.setattr(bench_progress, "messages", console)
+    display = bench_progress.Display("folder, offline", progress)
+    assert display._bar is not None
+    console.print(display._bar.get_renderable())
+    assert "20/40" in console.file.getvalue()

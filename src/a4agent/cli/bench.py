@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
 from a4agent.cli import common, scores_text
 from a4agent.cli.bench_progress import Display
-from a4agent.cli.benchmark_data import OptionsOption, RuleOption, opened
+from a4agent.cli.benchmark_data import OptionsOption, RuleOption, opened, with_samples
 from a4agent.cli.common import ProfileOption, SetOption, messages
-from a4agent.errors import A4Error, ConfigError, UnknownNameError
+from a4agent.errors import A4Error, BudgetExceeded, ConfigError, UnknownNameError
 
 if TYPE_CHECKING:
     from a4agent.affordance import Status
@@ -89,14 +91,14 @@ def bench(
         if benchmark or profile or out:
             raise ConfigError("a suite names benchmarks, profiles and folders itself: leave those options away")
         table = load_suite(suite)
-        benchmarks = [opened(name, data, rule, option) for name in table.benchmark_names()]
+        benchmarks = [with_samples(opened(name, data, rule, option)) for name in table.benchmark_names()]
         systems = [
             [Bench(one, _settings_of(system, sets, limits), label=system.label, **plan) for one in benchmarks]
             for system in table.system
         ]
     elif benchmark:
         settings = common.settings(profile, sets, **limits)
-        systems = [[Bench(opened(benchmark, data, rule, option), settings, out=out, **plan)]]
+        systems = [[Bench(with_samples(opened(benchmark, data, rule, option)), settings, out=out, **plan)]]
     else:
         raise ConfigError("which benchmark? `a4 data list` names them; for instance: a4 bench folder --data examples")
     runs, code = _run_all(systems, as_json)
@@ -112,24 +114,38 @@ def bench(
 def _run_all(systems: Sequence[Sequence[Bench]], as_json: bool) -> tuple[list[Run], int]:
     """Run one system after the other, each on all its benchmarks; returns the runs and the exit code.
 
-    In a suite, a system that cannot be run does not keep the others from it.
+    In a suite, a system that cannot be run does not keep the others from it. A budget is one for all of it.
     """
     runs: list[Run] = []
     worst = common.OK
+    spent, started = 0.0, time.monotonic()
     for works in systems:
         try:
             with _agent(works[0]) as agent:
                 for work in works:
-                    run, code = _run(work, agent, as_json)
-                    runs += [run] if run.records else []
-                    worst = max(worst, code)
-                    if code == common.INTERRUPTED:
-                        return runs, code
+                    ended = _run(_within(work, spent, time.monotonic() - started), agent, as_json)
+                    runs += [ended.run] if ended.run.records else []
+                    spent += ended.cost
+                    worst = max(worst, ended.code)
+                    if isinstance(ended.stopped, KeyboardInterrupt | BudgetExceeded):
+                        return runs, ended.code
         except A4Error as error:
             if len(systems) == 1:
                 raise
             worst = max(worst, common.fail(error))
     return runs, worst
+
+
+def _within(work: Bench, cost: float, seconds: float) -> Bench:
+    """The same with what is left of its budget after so many US dollars and seconds."""
+    limits = work.settings.engine
+    left = {
+        name: max(limit - used, 0.0)
+        for name, limit, used in (("max_cost", limits.max_cost, cost), ("max_seconds", limits.max_seconds, seconds))
+        if limit is not None and used
+    }
+    engine = limits.model_copy(update=left)
+    return replace(work, settings=work.settings.model_copy(update={"engine": engine}))
 
 
 def _agent(work: Bench) -> A4Agent:
@@ -139,8 +155,17 @@ def _agent(work: Bench) -> A4Agent:
     return A4Agent.from_settings(work.settings) if work.engine == "ray" else common.build_agent(work.settings)
 
 
-def _run(work: Bench, agent: A4Agent, as_json: bool) -> tuple[Run, int]:
-    """Run one configuration on one benchmark and say what came of it; returns the run and the exit code."""
+class _Ended(NamedTuple):
+    """One run as it stands, what this start of it cost in US dollars, and what stopped it early."""
+
+    run: Run
+    code: int
+    cost: float
+    stopped: BaseException | None
+
+
+def _run(work: Bench, agent: A4Agent, as_json: bool) -> _Ended:
+    """Run one configuration on one benchmark and say what came of it."""
     from a4agent.runs import scores
     from a4agent.runs.store import read_run
 
@@ -163,12 +188,15 @@ def _run(work: Bench, agent: A4Agent, as_json: bool) -> tuple[Run, int]:
         if not as_json:
             _show_scores(run)
     _tell(progress)
+    if work.retry and progress.stats.saved:
+        common.warn("an answer that the cache holds was not asked for again; with --cache off it is")
+    code = common.SOME_FAILED if progress.failed or progress.unscored else common.OK
     if isinstance(stopped, KeyboardInterrupt):
         messages.print("interrupted" + ("" if run.complete else "; the same command goes on from here"))
-        return run, common.INTERRUPTED
-    if stopped is not None:
-        return run, common.fail(stopped)
-    return run, common.SOME_FAILED if progress.failed or progress.unscored else common.OK
+        code = common.INTERRUPTED
+    elif stopped is not None:
+        code = common.fail(stopped)
+    return _Ended(run, code, progress.cost, stopped)
 
 
 def _tell(progress: Progress) -> None:

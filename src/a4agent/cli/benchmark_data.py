@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from a4agent.errors import ConfigError
+from a4agent.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
     from a4agent.benchmarks.base import Benchmark
@@ -38,3 +38,16 @@ def opened(name: str, path: Path | None, rule: str | None = None, options: list[
             raise ConfigError(f"--option takes NAME=VALUE (such as instruction=1), not {text!r}")
         given[option.strip()] = parse_value(value.strip())
     return load(name, path, given)
+
+
+def with_samples(benchmark: Benchmark) -> Benchmark:
+    """The same benchmark, if there is anything to ask.
+
+    Raises:
+        DataError: there is not.
+    """
+    if not len(benchmark):
+        raise DataError(
+            f"the {benchmark.name} data in {str(benchmark.root)!r} has no samples; `a4 data check` says what is there"
+        )
+    return benchmark

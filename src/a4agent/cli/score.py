@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from a4agent.cli import common, scores_text
-from a4agent.cli.benchmark_data import DataOption, NameArgument, OptionsOption, RuleOption, opened
+from a4agent.cli.benchmark_data import DataOption, NameArgument, OptionsOption, RuleOption, opened, with_samples
 from a4agent.errors import DataError
 
 if TYPE_CHECKING:
@@ -50,9 +50,7 @@ def score(
     from a4agent.benchmarks.predictions import Predictions
     from a4agent.runs.external import score_predictions, write_run
 
-    opened_data = opened(benchmark, data, rule, option)
-    if not len(opened_data):
-        raise DataError(f"the {benchmark} data in {str(data)!r} has no samples")
+    opened_data = with_samples(opened(benchmark, data, rule, option))
     protocol = protocol or opened_data.protocol
     metrics.protocol_of(protocol)
     masks = Predictions(predictions)
