@@ -109,6 +109,22 @@ def test_a_request_that_breaks_its_batch_fails_alone(make: Make) -> None:
     ]
 
 
+class Panic(BaseException):
+    """What Rust code raises in Python."""
+
+
+def test_what_is_no_exception_fails_its_request_alone_and_the_rest_is_answered(make: Make) -> None:
+    def answer(request: DetectRequest) -> Any:
+        if request.phrase == "c":
+            raise Panic("index out of bounds")
+        return [[0, 0, 4, 4]]
+
+    for most in (1, 4):
+        answers = ask(make(ScriptedDetector(answer, id="rusty:detector", max_batch=most)), *"abcde")
+        assert [isinstance(a, ProviderError) for a in answers] == [False, False, True, False, False]
+        assert "rusty:detector failed: Panic('index out of bounds')" in str(answers[2])
+
+
 def test_an_expert_that_is_down_is_not_asked_again_for_each_of_the_batch(make: Make) -> None:
     class Down(ScriptedDetector):
         calls = 0
@@ -181,6 +197,28 @@ def test_preparing_waits_for_those_that_segment_and_keeps_within_bounds(make: Ma
     assert segmenter.done[3:] == [1, 2, 3, 4, 5, 8, 9, 10]
 
 
+def test_a_preparation_that_hangs_does_not_block_the_segmenter_for_good(make: Make) -> None:
+    release = threading.Event()
+
+    class Hanging(SlowSegmenter):
+        def prepare(self, images: Sequence[Image.Image]) -> None:
+            super().prepare(images)
+            release.wait(10)
+
+    segmenter = Hanging()
+    segmenter.gate.set()
+    dispatcher = make(segmenter)
+    dispatcher.prepare(PHOTO)
+    until(lambda: segmenter.done == [8])
+    job = Job(SegmentRequest(PHOTO, ()), 0.1)
+    dispatcher.submit(job)
+    time.sleep(0.25)
+    dispatcher.abandon_overdue(0.1)
+    until(lambda: job.settled)
+    assert segmenter.done == [8, "s"]
+    release.set()
+
+
 def test_an_overdue_call_is_given_up_and_its_slot_used_again_only_later(make: Make) -> None:
     release = threading.Event()
 
@@ -222,3 +260,18 @@ def test_closing_fails_what_is_queued(make: Make) -> None:
     assert isinstance(second.wait(), ProviderError)
     gate.set()
     assert not isinstance(first.wait(), Exception)
+
+
+def test_closed_it_fails_what_comes_or_is_held_back(make: Make) -> None:
+    detector = ScriptedDetector(lambda request: ProviderUnavailable("down"))
+    dispatcher = Dispatcher(detector, Breaker("x", 60.0, 600.0), ExpertStats("detector", "x"), 0.0)
+    ask(dispatcher, *"abcdefghij")  # ten failures in a row: the breaker holds the next back for a minute
+    held = Job(DetectRequest(PHOTO, "k"))
+    dispatcher.submit(held)
+    until(lambda: not dispatcher._jobs)
+    dispatcher.close()
+    (late,) = ask(dispatcher, "l")
+    for outcome in (held.wait(), late):
+        assert isinstance(outcome, ProviderError)
+        assert "stopped" in str(outcome)
+    assert len(detector.requests) == 10

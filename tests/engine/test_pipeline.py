@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import signal
-import subprocess
-import sys
-import textwrap
 import threading
 import time
 from collections import Counter
@@ -21,7 +16,7 @@ from a4agent import engine
 from a4agent.affordance import Affordance, Given, Query, Target
 from a4agent.agent import A4Agent
 from a4agent.engine import EngineSettings, Stats
-from a4agent.errors import BudgetExceeded, CredentialError, RequestRejected
+from a4agent.errors import BudgetExceeded, CredentialError, ProviderUnavailable, RequestRejected
 from a4agent.experts.base import ChatAnswer, ChatRequest, Detection, DetectRequest, Usage
 from a4agent.spotter import Spotter
 from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedSegmenter, ScriptedVLM, output, scripted_agent
@@ -117,6 +112,44 @@ def test_queries_are_taken_as_they_are_needed(queries: Queries) -> None:
     assert taken <= before + 3
 
 
+def test_in_order_no_more_is_read_ahead_of_a_slow_one(queries: Queries) -> None:
+    taken = 0
+
+    def counted() -> Iterator[Query]:
+        nonlocal taken
+        for query in queries(10_000):
+            taken += 1
+            yield query
+
+    def first_is_slow(request: DetectRequest) -> list[Any]:
+        time.sleep(0.3 if int(np.asarray(request.image)[0, 0].sum()) == 0 else 0)
+        return [[0, 0, 4, 4]]
+
+    agent = A4Agent(None, None, Spotter(ScriptedDetector(first_is_slow, concurrency=3), ScriptedSegmenter()))
+    running = engine.run(agent, counted(), ordered=True, settings=EngineSettings(in_flight=3))
+    query, _ = next(running)
+    assert query.id == "q0"
+    assert taken <= 2 * 3
+    running.close()
+
+
+def test_who_stops_early_leaves_no_thread_waiting(queries: Queries) -> None:
+    """Samples in flight come to their next question, or back from a pause between tries, when the run is over."""
+
+    def moody(request: DetectRequest) -> Any:
+        return [[0, 0, 4, 4]] if int(np.asarray(request.image)[0, 0].sum()) == 0 else ProviderUnavailable("503")
+
+    slow = ScriptedVLM(lambda request: output("the handle"), seconds=0.05, concurrency=8)
+    agent = A4Agent(None, Thinker(slow), Spotter(ScriptedDetector(moody, concurrency=8), ScriptedSegmenter()))
+    before = set(threading.enumerate())
+    for _ in engine.run(agent, queries(100), settings=EngineSettings(retry_wait=5.0)):
+        break
+    deadline = time.monotonic() + 3.0
+    while (left := set(threading.enumerate()) - before) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not left
+
+
 @pytest.mark.parametrize("ordered", [False, True])
 def test_samples_that_cannot_be_used_are_answers_too(ordered: bool, tmp_path: Any) -> None:
     queries = [
@@ -210,6 +243,14 @@ def test_a_budget_of_money_is_kept_and_the_samples_in_flight_end(queries: Querie
     assert {a.status for a in done} == {"ok"}
 
 
+def test_a_budget_that_the_last_sample_uses_up_stops_nothing(queries: Queries) -> None:
+    vlm = ScriptedVLM(lambda request: ChatAnswer(output("the handle"), usage=Usage(cost=0.5)), concurrency=8)
+    agent = A4Agent(None, Thinker(vlm), Spotter(ScriptedDetector(), ScriptedSegmenter()))
+    done, stopped = until_stopped(engine.run(agent, queries(8), settings=EngineSettings(max_cost=4.0)))
+    assert stopped is None
+    assert len(done) == 8
+
+
 def test_a_budget_of_time_is_kept(queries: Queries) -> None:
     agent = A4Agent(None, None, Spotter(ScriptedDetector(seconds=0.02), ScriptedSegmenter()))
     done, stopped = until_stopped(engine.run(agent, queries(1000), settings=EngineSettings(max_seconds=0.5)))
@@ -249,61 +290,6 @@ def test_predict_many_takes_pairs_and_settings() -> None:
     answers = list(scripted_agent().predict_many(pairs, ordered=True, in_flight=2))
     assert [a.id for a in answers] == [str(n) for n in range(9)]
     assert [a.instruction for a in answers] == [f"use {n}" for n in range(9)]
-
-
-INTERRUPTED = """
-    import sys, time
-    import numpy as np
-    from a4agent import engine
-    from a4agent.affordance import Query
-    from a4agent.agent import A4Agent
-    from a4agent.spotter import Spotter
-    from a4agent.testing import ScriptedDetector, ScriptedSegmenter
-
-    agent = A4Agent(None, None, Spotter(ScriptedDetector(seconds=SECONDS, concurrency=2), ScriptedSegmenter()))
-    queries = (Query(str(n), np.zeros((8, 8, 3), np.uint8), "open") for n in range(100_000))
-    try:
-        for query, affordance in engine.run(agent, queries, settings=engine.EngineSettings(in_flight=4)):
-            print(affordance.status, flush=True)
-    except KeyboardInterrupt:
-        print("interrupted", len(agent.spotter.detector.requests), flush=True)
-        sys.exit(130)
-"""
-
-
-def _start(seconds: float) -> subprocess.Popen[str]:
-    code = textwrap.dedent(INTERRUPTED).replace("SECONDS", str(seconds))
-    return subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
-    )
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-def test_the_first_interrupt_lets_what_is_in_flight_end() -> None:
-    process = _start(0.05)
-    assert process.stdout is not None
-    first = process.stdout.readline()
-    process.send_signal(signal.SIGINT)
-    *done, last = [first, *process.stdout.read().splitlines()]
-    _, err = process.communicate(timeout=30)
-    assert process.returncode == 130, err
-    assert last == f"interrupted {len(done)}"  # every sample that was begun has been given
-    assert {line.strip() for line in done} == {"ok"}
-    assert "interrupt again to leave at once" in err
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-def test_the_second_interrupt_leaves_at_once() -> None:
-    process = _start(3.0)
-    assert process.stdout is not None
-    process.stdout.readline()
-    process.send_signal(signal.SIGINT)
-    time.sleep(0.4)
-    started = time.monotonic()
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert time.monotonic() - started < 2.0
 
 
 def test_batches_form_while_the_expert_is_busy(queries: Queries) -> None:

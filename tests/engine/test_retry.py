@@ -40,6 +40,18 @@ def test_a_fresh_error_keeps_its_class_and_fields_but_not_its_traceback() -> Non
     assert twin.__traceback__ is None
 
 
+def test_a_stranger_s_error_is_made_fresh_whatever_its_constructor_wants() -> None:
+    class Odd(ProviderUnavailable):
+        def __init__(self, code: int, *, detail: str) -> None:
+            super().__init__(f"{code}: {detail}")
+            self.code = code
+
+    twin = fresh(Odd(503, detail="down"))
+    assert isinstance(twin, Odd)
+    assert str(twin) == "503: down"
+    assert twin.code == 503
+
+
 def trip(breaker: Breaker) -> None:
     for _ in range(FAILURES_TO_OPEN):
         breaker.enter()

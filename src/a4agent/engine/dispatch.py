@@ -88,8 +88,11 @@ class Dispatcher:
         self._closed = False
 
     def submit(self, job: Job) -> None:
-        """Queue a job."""
+        """Queue a job; it fails at once when the run is over."""
         with self._changed:
+            if self._closed:
+                job.settle(_stopped(), 0.0)
+                return
             self._jobs.append(job)
             self._wake()
 
@@ -109,11 +112,12 @@ class Dispatcher:
                 self._wake()
 
     def close(self) -> None:
-        """Let idle threads end; whatever is still queued fails."""
+        """Let idle threads end; whatever is still queued, or held back by the breaker, fails."""
+        self.breaker.give_up(_stopped())
         with self._changed:
             self._closed = True
             for job in self._jobs:
-                job.settle(ProviderError("the run was stopped before this was asked"), 0.0)
+                job.settle(_stopped(), 0.0)
             self._jobs.clear()
             self._to_prepare.clear()
             self._changed.notify_all()
@@ -199,7 +203,8 @@ class Dispatcher:
 
     def _serve(self, call: _Call) -> None:
         if not call.jobs:
-            with suppress(Exception):  # the segmentation will meet the same error, and tell
+            call.started = time.monotonic()
+            with suppress(BaseException):  # the segmentation will meet the same error, and tell
                 cast(Prepares, self.expert).prepare(call.images)
             return
         try:
@@ -222,7 +227,9 @@ class Dispatcher:
             if len(answers) != len(requests):
                 raise ProviderError(f"{self.expert.id} gave {len(answers)} answers to {len(requests)} requests")
             return list(answers)
-        except Exception as error:
+        except BaseException as raised:
+            # What is no Exception (a panic of Rust code, sys.exit) would end the thread, and its samples wait for ever.
+            error = raised if isinstance(raised, Exception) else ProviderError(f"{self.expert.id} failed: {raised!r}")
             if len(requests) == 1:
                 return [error]
             if isinstance(error, OutOfMemory):
@@ -250,3 +257,7 @@ class Dispatcher:
         error = down[0]
         self.breaker.failed(error if isinstance(error, ProviderError) else ProviderError(repr(error)))
         return None
+
+
+def _stopped() -> ProviderError:
+    return ProviderError("the run was stopped before this was asked")

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import logging
 import queue
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from types import FrameType
-from typing import Any
 
 from a4agent.affordance import Affordance, Given, Query
 from a4agent.agent import A4Agent
@@ -17,6 +14,7 @@ from a4agent.config import EngineSettings
 from a4agent.engine.budget import Budget
 from a4agent.engine.session import Session
 from a4agent.engine.stats import Stats
+from a4agent.engine.stop import Stop
 
 log = logging.getLogger("a4agent")
 
@@ -34,9 +32,10 @@ def run(
 ) -> Iterator[tuple[Query, Affordance]]:
     """Answer each query once, as the answers are ready or in the queries' order.
 
-    A sample that fails is an answer of status "error" with the query's id. `queries` is read no further than
-    the samples in flight. `given` tells what of a query is known already. The first Ctrl-C lets the samples
-    in flight end, and is raised then; a second one is raised at once. `stats` is filled along the way.
+    A sample that fails is an answer of status "error" with the query's id. `queries` is read ahead of the answers
+    given by twice the samples in flight at most, also in order. `given` tells what of a query is known already.
+    The first Ctrl-C lets the samples in flight end, and is raised then; a second one is raised at once. `stats`
+    is filled along the way.
 
     Raises:
         UserError: a key, a library or a model is missing, so that every sample would fail. This and the next
@@ -44,53 +43,52 @@ def run(
         ProviderError: an expert was down for longer than `settings.outage_seconds`.
         BudgetExceeded: another sample does not fit into `settings.max_cost` or `max_seconds`.
     """
+    remaining = iter(queries)
     session = Session(agent, settings or EngineSettings(), stats)
-    pool = _Pool(session, iter(queries), given)
-    with _Interrupts(pool):
+    with Stop() as stop:
+        pool = _Pool(session, remaining, given, stop)
         try:
             answers = pool.answers()
             for _, query, affordance in in_order(answers) if ordered else answers:
                 yield query, affordance
                 del query, affordance
+                pool.make_room()
         finally:
             pool.close()
             session.close()
-    if pool.reason is not None:
-        raise pool.reason
+    if stop.reason is not None:
+        raise stop.reason
 
 
 class _Pool:
     """Threads that each take a query, answer it and take the next, until there is none or a reason to stop."""
 
     def __init__(
-        self, session: Session, queries: Iterator[Query], given: Callable[[Query], Given | None] | None
+        self, session: Session, queries: Iterator[Query], given: Callable[[Query], Given | None] | None, stop: Stop
     ) -> None:
-        self.reason: BaseException | None = None
-        self._closed = False
         self._session = session
         self._queries = queries
         self._given = given
+        self._stop = stop
+        self._closed = False
         self._budget = Budget(session.settings.max_cost, session.settings.max_seconds)
         self._taking = threading.Lock()
         self._taken = 0
         self._room = threading.Semaphore(2 * session.in_flight)
         self._results: queue.SimpleQueue[Answered | None] = queue.SimpleQueue()
 
-    def stop(self, reason: BaseException) -> None:
-        """Start no more samples."""
-        self.reason = self.reason or reason
-
     def answers(self) -> Iterator[Answered]:
-        """All answers, until the last thread has ended."""
+        """All answers, until the last thread has ended. Call `make_room` for each that was given to the caller."""
         for number in range(self._session.in_flight):
             threading.Thread(target=self._work, name=f"a4 sample {number}", daemon=True).start()
-        running, told = self._session.in_flight, False
+        running, woken, told = self._session.in_flight, False, False
         while running:
-            if self.reason is not None and not told:
-                told = True
+            if self._stop.reason is not None and not woken:
+                woken = True
                 self._wake_all()
-                if isinstance(self.reason, KeyboardInterrupt):
-                    log.warning("finishing the samples in flight; interrupt again to leave at once")
+            if self._stop.interrupted and not told:
+                told = True
+                log.warning("finishing the samples in flight; interrupt again to leave at once")
             try:
                 answered = self._results.get(timeout=0.2)
             except queue.Empty:
@@ -100,7 +98,10 @@ class _Pool:
                 continue
             yield answered
             del answered
-            self._room.release()
+
+    def make_room(self) -> None:
+        """Another query may be taken."""
+        self._room.release()
 
     def close(self) -> None:
         """Let go of the threads, also when nobody wants the rest of the answers."""
@@ -110,24 +111,28 @@ class _Pool:
     def _wake_all(self) -> None:
         self._room.release(self._session.in_flight)
 
+    @property
+    def _stopped(self) -> bool:
+        return self._closed or self._stop.reason is not None
+
     def _work(self) -> None:
         try:
             while self._answer_one():
                 pass
         except BaseException as error:  # raised to the caller of `run`, which is the one to handle it
-            self.stop(error)
+            self._stop.because(error)
         finally:
             self._results.put(None)
 
     def _answer_one(self) -> bool:
         self._room.acquire()
-        if self.reason is not None or self._closed:
+        taken = self._take()
+        if taken is None:
             return False
-        self._budget.start()
+        self._budget.start()  # for a query that is there: a budget used up by the last one has refused nothing
         trace, started = None, time.monotonic()
         try:
-            taken = self._take()
-            if taken is None:
+            if self._stopped:
                 return False
             number, query = taken
             given = self._given(query) if self._given else None
@@ -140,7 +145,7 @@ class _Pool:
 
     def _take(self) -> tuple[int, Query] | None:
         with self._taking:
-            if self.reason is not None or self._closed:
+            if self._stopped:
                 return None
             query = next(self._queries, None)
             if query is None:
@@ -163,29 +168,3 @@ def in_order(answers: Iterator[Answered]) -> Iterator[Answered]:
             wanted += 1
     for number in sorted(waiting):
         yield waiting[number]
-
-
-class _Interrupts:
-    """While a run goes on, the first Ctrl-C asks it to stop and the second raises KeyboardInterrupt.
-
-    Only where Python's own handler is in place, which is in the main thread of a program that has no other.
-    """
-
-    def __init__(self, pool: _Pool) -> None:
-        self._pool = pool
-        self._installed = False
-
-    def __enter__(self) -> None:
-        ours = threading.current_thread() is threading.main_thread()
-        if ours and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-            signal.signal(signal.SIGINT, self._interrupted)
-            self._installed = True
-
-    def __exit__(self, *_: Any) -> None:
-        if self._installed and threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-
-    def _interrupted(self, number: int, frame: FrameType | None) -> None:
-        if self._pool.reason is not None:
-            raise KeyboardInterrupt
-        self._pool.stop(KeyboardInterrupt())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import random
 import threading
 import time
@@ -25,7 +24,8 @@ def backoff(failures: int, first: float, error: Exception) -> float:
 
 def fresh(error: A4Error) -> A4Error:
     """The same error to be raised in another thread: each has its own traceback and count of attempts."""
-    twin = copy.copy(error)
+    twin = type(error).__new__(type(error), *error.args)  # not copy.copy: an `__init__` may want other arguments
+    twin.__dict__.update(error.__dict__)
     twin.__cause__ = error.__cause__
     return twin
 
