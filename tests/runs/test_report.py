@@ -20,7 +20,7 @@ from a4agent import rle
 from a4agent.errors import DataError
 from a4agent.runs import scores
 from a4agent.runs.bench import Bench, Selection
-from a4agent.runs.report import picture_side, render, small_mask, write_report
+from a4agent.runs.report import _stages, picture_side, render, small_mask, write_report
 from a4agent.runs.store import Record, Run
 
 MakeBench = Callable[..., Bench]
@@ -54,6 +54,23 @@ def test_the_page_shows_the_scores_with_their_intervals(run: Run) -> None:
     assert "20 scored, 4 failed" in text
 
 
+def test_seconds_of_shared_calls_are_not_added_up(run: Run) -> None:
+    rows = {row["role"]: row for row in _stages(run.records.values())}
+    assert rows["detector"]["asked"] == 18
+    assert rows["detector"]["failed"] == 2
+    assert "total" not in rows["detector"]
+    text = render(run)
+    assert '<th class="number">asked</th>' in text
+    assert "total s" not in text
+
+
+def test_a_column_of_failures_needs_failures(run: Run) -> None:
+    text = render(run)
+    good = {id: record for id, record in run.records.items() if not record.scored.failed}
+    assert '<th class="number">n</th><th class="number">failed</th>' in text
+    assert '<th class="number">n</th><th class="number">failed</th>' not in render(replace(run, records=good))
+
+
 def test_published_numbers_stand_beside(run: Run) -> None:
     identity = {**run.manifest.identity, "benchmark": "umd"}
     text = render(replace(run, manifest=replace(run.manifest, identity=identity)))
@@ -65,7 +82,7 @@ def test_published_numbers_stand_beside(run: Run) -> None:
 
 def test_a_part_of_a_run_says_so(bench: MakeBench, run: Run) -> None:
     part = replace(run, records=dict(list(run.records.items())[:5]))
-    assert "15 samples have not been asked yet" in render(part)
+    assert "15 samples have no score" in render(part)
     chosen = bench("chosen", selection=Selection(3, 5)).run(pictures.agent())
     assert "the first 3 after a shuffle with seed 5" in render(chosen)
 
@@ -227,6 +244,20 @@ def test_thousands_of_samples_keep_few_cards_in_the_page(run: Run, page: Any) ->
     assert len(cards(page)) < 120
     page.fill("#search", "1234")
     assert cards(page) == ["1234"]
+
+
+def test_on_a_telephone_it_fits_and_the_cards_keep_the_screen(run: Run, page: Any) -> None:
+    identity = {**run.manifest.identity, "benchmark": "umd"}
+    records = dict(list(run.records.items())[:19])
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.goto(write_report(replace(run, manifest=replace(run.manifest, identity=identity), records=records)).as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") == 390, "with the published table and the notice"
+    page.evaluate("scrollTo(0, document.body.scrollHeight)")
+    assert page.evaluate("document.querySelector('.toolbar').getBoundingClientRect().bottom") < 0
+    page.locator(".sample").last.click()
+    box = page.locator("#detail").bounding_box()
+    assert box["x"] >= 0
+    assert box["x"] + box["width"] <= 390
 
 
 def test_dark_and_light(run: Run, page: Any) -> None:

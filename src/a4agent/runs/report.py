@@ -190,7 +190,10 @@ def _histogram(samples: Iterable[Mapping[str, Any]]) -> list[int]:
 
 
 def _stages(records: Iterable[Record]) -> list[dict[str, Any]]:
-    """What each expert was asked and what it took, in the order of the stages."""
+    """What each expert was asked and what it took, in the order of the stages.
+
+    No sum of seconds: questions that went out in one call have each the seconds of all of it.
+    """
     groups: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
     for record in records:
         for step in record.row["trace"]:
@@ -198,18 +201,17 @@ def _stages(records: Iterable[Record]) -> list[dict[str, Any]]:
     order = {"dreamer": 0, "thinker": 1, "spotter": 2}
     table: list[dict[str, Any]] = []
     for (stage, role, expert), steps in sorted(groups.items(), key=lambda item: order.get(item[0][0], 3)):
-        asked = [step["seconds"] for step in steps if not step.get("cached")]
+        seconds = [step["seconds"] for step in steps if not step.get("cached")]
         known = [step["cost"] for step in steps if step.get("cost") is not None and not step.get("cached")]
         table.append(
             {
                 "stage": stage,
                 "role": role,
                 "expert": expert,
-                "calls": len(steps),
+                "asked": len(steps),
                 "cached": sum(bool(step.get("cached")) for step in steps),
                 "failed": sum(bool(step.get("error")) for step in steps),
-                "median": median(asked) if asked else None,
-                "total": sum(asked),
+                "median": median(seconds) if seconds else None,
                 "tokens": sum((step.get("tokens_in") or 0) + (step.get("tokens_out") or 0) for step in steps),
                 "cost": sum(known) if known else None,
             }
