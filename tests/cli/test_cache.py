@@ -59,6 +59,18 @@ def test_a_cache_that_is_not_there_is_empty_and_stays_so(
     assert cache.info().entries == 3
 
 
+def test_looking_at_a_folder_that_is_no_cache_changes_nothing(
+    cache: Cache, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    assert a4("info", "--folder", str(photos)) == 0
+    assert "0 answers" in capsys.readouterr().out
+    assert a4("clear", "--yes", "--folder", str(photos)) == 0
+    assert "nothing to remove" in capsys.readouterr().out
+    assert list(photos.iterdir()) == []
+
+
 def test_the_settings_say_where_it_is(cache: Cache, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "a4.toml").write_text('[engine]\ncache_dir = "named"\ncache_gb = 2.5\n')
     assert a4("info") == 0

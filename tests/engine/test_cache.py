@@ -9,6 +9,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -86,11 +87,12 @@ def test_what_killed_writers_left_goes_in_time(tmp_path: Path) -> None:
     cache = Cache(tmp_path)
     cache.put(name(1), answer(1))
     folder = files(cache)[0].parent
-    for draft, age in (("old.tmp", ABANDONED + 60), ("new.tmp", 5.0)):
+    old, new = f".{'a' * 32}.tmp", f".{'b' * 32}.tmp"  # as `replace_file` names them
+    for draft, age in ((old, ABANDONED + 60), (new, 5.0)):
         (folder / draft).write_bytes(b"half")
         os.utime(folder / draft, (time.time() - age,) * 2)
     assert cache.info().entries == 1
-    assert {path.name for path in files(cache)} == {f"{name(1)}.entry", "new.tmp"}
+    assert {path.name for path in files(cache)} == {f"{name(1)}.entry", new}
 
 
 def test_clearing_removes_everything_and_nothing_else(tmp_path: Path) -> None:
@@ -101,6 +103,50 @@ def test_clearing_removes_everything_and_nothing_else(tmp_path: Path) -> None:
     assert [path.name for path in files(cache)] == ["mine.txt"]
     cache.put(name(1), answer(1))
     assert text_of(cache, name(1)) == answer(1).text
+
+
+@pytest.mark.parametrize("place", ["v1/images", "v1/3f", "v1"])
+def test_files_of_others_stay_whatever_is_done(tmp_path: Path, place: str) -> None:
+    """`a4 cache info --folder` of a wrong folder must not cost its owner a file."""
+    others = [tmp_path / place / "photo.png", tmp_path / place / "notes.tmp", tmp_path / place / "x.entry"]
+    for path in others:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("mine")
+        os.utime(path, (time.time() - 2 * ABANDONED,) * 2)
+    cache = Cache(tmp_path, limit_bytes=1000)
+    assert cache.info().entries == 0
+    for number in range(3):
+        cache.put(name(number), answer(number))
+    cache.clear()
+    assert sorted(files(cache)) == sorted(others)
+
+
+def test_what_other_processes_add_counts_too(tmp_path: Path) -> None:
+    size = len(answer(0).text) + 400
+    caches = [Cache(tmp_path, limit_bytes=100 * size) for _ in range(4)]
+    for number in range(400):
+        caches[number % 4].put(name(number), answer(number))
+        assert number % 20 or caches[0].info().bytes <= 140 * size
+    assert caches[0].info().bytes >= 60 * size
+
+
+def test_two_that_evict_at_once_remove_no_more_than_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    size = len(answer(0).text) + 400
+    slow, fast = Cache(tmp_path, limit_bytes=100 * size), Cache(tmp_path, limit_bytes=20 * size)
+    for number in range(20):
+        slow.put(name(number), answer(number))
+    listed = slow._files
+
+    def after_the_other() -> Iterator[tuple[float, int, Path]]:
+        found = list(listed())
+        fast.put(name(20), answer(20))  # evicts
+        return iter(found)
+
+    monkeypatch.setattr(slow, "_files", after_the_other)
+    slow._limit = 15 * size
+    slow._evict()
+    monkeypatch.undo()
+    assert slow.info().entries >= 13
 
 
 def test_a_full_disk_costs_one_warning(

@@ -30,7 +30,7 @@ def info(
     from a4agent.engine.cache import Cache, CacheInfo
 
     place, limit_gb = _place(folder)
-    found = Cache(place).info() if place.is_dir() else CacheInfo(place, 0, 0)
+    found = Cache(place).info() if _is_cache(place) else CacheInfo(place, 0, 0)
     if as_json:
         row = {"folder": str(place), "entries": found.entries, "bytes": found.bytes, "limit_bytes": int(limit_gb * 1e9)}
         print(json.dumps(row))
@@ -47,7 +47,7 @@ def clear(
     from a4agent.engine.cache import Cache
 
     place, _ = _place(folder)
-    if not place.is_dir():
+    if not _is_cache(place):
         print(f"{place}: nothing to remove")
         return
     cache = Cache(place)
@@ -62,6 +62,13 @@ def _place(folder: Path | None) -> tuple[Path, float]:
 
     engine = common.settings(None).engine
     return folder or engine.cache_dir or default_folder(), engine.cache_gb
+
+
+def _is_cache(place: Path) -> bool:
+    """Whether answers were ever kept in `place`; looking makes no folder."""
+    from a4agent.engine.cache import FORMAT
+
+    return (place / FORMAT).is_dir()
 
 
 def _told(info: CacheInfo) -> str:

@@ -6,14 +6,14 @@
 
 A file is written beside its place and renamed, so readers see all of it or nothing, however many processes
 write and whenever they are killed; what is damaged all the same is a miss. A hit renews the file's time, and
-when the folder outgrows its limit the files not used for longest go.
+when the folder outgrows its limit the files not used for longest go. Files of others are never touched.
 """
 
 from __future__ import annotations
 
 import logging
 import os
-import shutil
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -24,14 +24,15 @@ from pathlib import Path
 from a4agent.engine import entries
 from a4agent.errors import ConfigError
 from a4agent.experts.base import Answer, ChatAnswer
-from a4agent.folders import replace_file, system_cache
+from a4agent.folders import is_draft, replace_file, system_cache
 
 log = logging.getLogger("a4agent")
 
 FORMAT = "v1"
 """Changes when older entries can be read no more."""
+ENTRY = re.compile(r"[0-9a-f]{64}\.entry")
 KEEP = 0.9
-"""The share of the limit that an eviction leaves."""
+"""The share of the limit that an eviction leaves. A process that added the rest counts anew: others write too."""
 ABANDONED = 3600.0
 """Seconds after which a half-written file belongs to a process that is gone."""
 
@@ -55,7 +56,7 @@ class Cache:
     """A folder of answers, at most `limit_bytes` of them.
 
     Raises:
-        ConfigError: the folder cannot be made or written to.
+        ConfigError: the folder cannot be made.
     """
 
     def __init__(self, folder: Path, limit_bytes: float = 20e9) -> None:
@@ -64,6 +65,7 @@ class Cache:
         self._limit = limit_bytes
         self._lock = threading.Lock()
         self._bytes: int | None = None
+        self._added = 0
         self._warned = False
         try:
             self._root.mkdir(parents=True, exist_ok=True)
@@ -115,47 +117,52 @@ class Cache:
         return CacheInfo(self.folder, len(sizes), sum(sizes))
 
     def clear(self) -> CacheInfo:
-        """Remove everything; returns what there was."""
-        before = self.info()
+        """Remove all answers; returns what was removed."""
         with self._lock:
-            shutil.rmtree(self._root, ignore_errors=True)
-            self._root.mkdir(parents=True, exist_ok=True)
-            self._bytes = 0
-        return before
+            sizes = [size for _, size, path in self._files() if _removed(path)]
+            self._bytes = None
+        return CacheInfo(self.folder, len(sizes), sum(sizes))
 
-    def evict(self) -> None:
-        """Bring the folder under its limit, the longest unused first, and remove what killed writers left."""
+    def _evict(self) -> None:
+        """Count the answers, remove the longest unused if they are over the limit, and what killed writers left."""
         found = sorted(self._files())
         total = sum(size for _, size, _ in found)
+        goal = total if total <= self._limit else self._limit * KEEP
         for _, size, path in found:
-            if total <= self._limit * KEEP:
+            if total <= goal:
                 break
-            with suppress(OSError):
-                path.unlink()
+            if _removed(path):
                 total -= size
-        self._bytes = total
+        self._bytes, self._added = total, 0
 
     def _grow(self, size: int) -> None:
         with self._lock:
-            if self._bytes is None:
-                self._bytes = sum(size for _, size, _ in self._files())
-            else:
-                self._bytes += size
-            if self._bytes > self._limit:
-                self.evict()
+            self._added += size
+            known = self._bytes
+            if known is None or known + self._added > self._limit or self._added > (1 - KEEP) * self._limit:
+                self._evict()
 
     def _path(self, key: str) -> Path:
         return self._root / key[:2] / f"{key}.entry"
 
     def _files(self) -> Iterator[tuple[float, int, Path]]:
-        """(time of last use, bytes, path) of each answer."""
+        """(time of last use, bytes, path) of each answer; what killed writers left is removed on the way."""
         now = time.time()
-        for folder in sorted(self._root.iterdir()) if self._root.is_dir() else ():
+        for folder in sorted(self._root.glob("[0-9a-f][0-9a-f]")):
             with suppress(OSError), os.scandir(folder) as found:
                 for item in found:
                     with suppress(OSError):
-                        state = item.stat()
-                        if item.name.endswith(".entry"):
-                            yield state.st_mtime, state.st_size, Path(item.path)
-                        elif now - state.st_mtime > ABANDONED:
-                            os.unlink(item.path)
+                        state, path = item.stat(), Path(item.path)
+                        if ENTRY.fullmatch(item.name):
+                            yield state.st_mtime, state.st_size, path
+                        elif is_draft(path) and now - state.st_mtime > ABANDONED:
+                            path.unlink()
+
+
+def _removed(path: Path) -> bool:
+    """Remove a file; whether it is gone, for instance because another process was faster."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError:
+        return False
+    return True
