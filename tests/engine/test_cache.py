@@ -131,22 +131,21 @@ def test_what_other_processes_add_counts_too(tmp_path: Path) -> None:
 
 
 def test_two_that_evict_at_once_remove_no_more_than_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    size = len(answer(0).text) + 400
-    slow, fast = Cache(tmp_path, limit_bytes=100 * size), Cache(tmp_path, limit_bytes=20 * size)
+    cache = Cache(tmp_path)
     for number in range(20):
-        slow.put(name(number), answer(number))
-    listed = slow._files
+        cache.put(name(number), answer(number))
+    limit = cache.info().bytes * 0.8
+    one, other = Cache(tmp_path, limit), Cache(tmp_path, limit)
+    listed = one._files
 
-    def after_the_other() -> Iterator[tuple[float, int, Path]]:
+    def before_the_other_is_done() -> Iterator[tuple[float, int, Path]]:
         found = list(listed())
-        fast.put(name(20), answer(20))  # evicts
+        other._evict()
         return iter(found)
 
-    monkeypatch.setattr(slow, "_files", after_the_other)
-    slow._limit = 15 * size
-    slow._evict()
-    monkeypatch.undo()
-    assert slow.info().entries >= 13
+    monkeypatch.setattr(one, "_files", before_the_other_is_done)
+    one._evict()
+    assert cache.info().entries == 14  # 0.9 of the limit
 
 
 def test_a_full_disk_costs_one_warning(
