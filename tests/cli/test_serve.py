@@ -19,7 +19,7 @@ from a4agent.serve.app import HERE
 from a4agent.testing import scripted_agent
 
 A4 = [sys.executable, "-m", "a4agent.cli.main"]
-PHOTO = HERE / "examples" / "hammer.jpg"
+PHOTO = HERE / "examples" / "drawer.jpg"
 TOKEN = "a-token-of-some-length"
 
 
@@ -60,12 +60,12 @@ def test_a_signal_lets_what_is_in_flight_finish_and_takes_no_more(server: Proces
     assert server.line.endswith("with a token; Ctrl+C ends\n")
     client = Client(server.url, TOKEN, retries=0)
     assert client.ready()
-    assert client.predict(PHOTO, "pick up the hammer").status == "ok"
+    assert client.predict(PHOTO, "open the drawer").status == "ok"
     answers: list[Affordance] = []
     in_flight = threading.Barrier(4)
 
     def ask() -> None:
-        events = Client(server.url, TOKEN, retries=0).stream(PHOTO, "pick up the hammer")
+        events = Client(server.url, TOKEN, retries=0).stream(PHOTO, "open the drawer")
         assert next(events)[0] == "queued"
         in_flight.wait(30)
         answers.append(list(events)[-1][1])
@@ -80,7 +80,7 @@ def test_a_signal_lets_what_is_in_flight_finish_and_takes_no_more(server: Proces
     assert [answer.status for answer in answers] == ["ok"] * 3
     assert "Traceback" not in rest
     with pytest.raises(ServerError, match="cannot be reached"):
-        client.predict(PHOTO, "pick up the hammer")
+        client.predict(PHOTO, "open the drawer")
 
 
 def test_a_host_that_others_can_reach_needs_a_token_to_start() -> None:

@@ -121,3 +121,10 @@ def test_a_profile_that_does_not_work_here_cannot_be_chosen(missing: list[tuple[
     page = cards.profile_rows([("paper", "the paper's models", missing)])
     assert ("disabled" in page) == bool(missing)
     assert ("export KEY" in page) == bool(missing)
+
+
+def test_the_reason_of_a_failure_is_not_said_again_below_the_picture() -> None:
+    failed = answer("invalid", regions=(), target=None, error="UnreadableAnswer: a poem")
+    page = cards.picture(Progress(PHOTO, "open", True, True).after("affordance", failed, 1.0))
+    assert "<figcaption>open</figcaption>" in page
+    assert "poem" not in page

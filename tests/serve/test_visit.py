@@ -14,7 +14,7 @@ from a4agent.config import Settings, load_settings
 from a4agent.errors import CredentialError, UnreadableAnswer
 from a4agent.experts.base import Detection
 from a4agent.serve.profiles import Profiles
-from a4agent.serve.visit import Visit
+from a4agent.serve.visit import Visit, _sentence
 from a4agent.spotter import Spotter
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, scripted_agent
 from a4agent.thinker import Thinker
@@ -87,3 +87,16 @@ def test_each_way_to_fail_is_a_sentence(photo: str, tmp_path: Path, caplog: pyte
     assert "ZeroDivisionError" in caplog.text
 
     assert "needs a GPU: buy one" in message(visit(good, (Missing("a GPU", "buy one"),)))
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("no key", "No key."),
+        ("Is it?", "Is it?"),
+        ('it said: "I do not know."', 'It said: "I do not know."'),
+        ("unknown 'x'", "Unknown 'x'."),
+    ],
+)
+def test_a_sentence_has_one_end(words: str, sentence: str) -> None:
+    assert _sentence(words) == sentence

@@ -38,7 +38,7 @@ FONTS = ["system-ui", "Segoe UI", "Roboto", "Helvetica Neue", "sans-serif"]
 EXAMPLES = (
     ("kettle.jpg", "Take the kettle off the stove."),
     ("thermos.jpg", "Unscrew the lid of the thermos."),
-    ("hammer.jpg", "Drive a nail into the wood."),
+    ("drawer.jpg", "Open the drawer."),
 )
 """Rendered by `a4 data make sim`, from models under the MIT licence."""
 POLICY = (
@@ -101,7 +101,7 @@ def create_page(
     )
     theme = gr.themes.Base(
         primary_hue="rose", neutral_hue="slate", font=FONTS, font_mono=["ui-monospace", "monospace"], radius_size="lg"
-    )
+    ).set(body_text_color_subdued="*neutral_500")  # gradio's own is too pale to read on white
     mounted = gr.mount_gradio_app(
         app,
         blocks,
@@ -165,9 +165,9 @@ def _blocks(gr: Any, profiles: Profiles, profile: str) -> Any:
                     files = [
                         gr.DownloadButton(label, visible=False, elem_id=elem_id, size="sm")
                         for label, elem_id in (
-                            ("JSON", "get-json"),
-                            ("Picture (PNG)", "get-png"),
-                            ("Mask (PNG)", "get-mask"),
+                            ("Download JSON", "get-json"),
+                            ("Download picture", "get-png"),
+                            ("Download mask", "get-mask"),
                         )
                     ]
         opacity.input(None, [opacity], None, js=FADE)

@@ -52,7 +52,8 @@ def picture(progress: Progress | None) -> str:
     if progress is None:
         return '<div class="a4-empty"><p>The answer appears here, over your photo.</p></div>'
     seen = progress.affordance or _so_far(progress)
-    words = text(overlay.caption_of(seen))
+    answered = seen.status in ("ok", "empty")  # why there is no answer stands in the message
+    words = text(overlay.caption_of(seen if answered else replace(seen, status="ok")))
     plain = overlay.draw(progress.picture, seen, opacity=0.0, caption=False)
     tint = ""
     if seen.mask.any():
@@ -186,7 +187,7 @@ def _call(step: Step) -> str:
     tokens = f"{step.tokens_in} + {step.tokens_out}" if step.tokens_in or step.tokens_out else ""
     cost = "" if step.cost is None else f"${step.cost:.4f}"
     note = " (from the cache)" if step.cached else f" (failed: {step.error})" if step.error else ""
-    cells = (step.stage, step.expert + note, f"{step.seconds:.2f}", tokens, cost)
+    cells = (f"{step.stage}: {step.role}", step.expert + note, f"{step.seconds:.2f}", tokens, cost)
     return f"<tr>{''.join(f'<td>{text(cell)}</td>' for cell in cells)}</tr>"
 
 

@@ -89,7 +89,8 @@ def _verdict(affordance: Affordance) -> str:
 
 def _sentence(words: str) -> str:
     words = words.strip()
-    return words[:1].upper() + words[1:] + ("" if words.endswith((".", "!", "?")) else ".")
+    ends = words.rstrip("\"'”’").endswith((".", "!", "?"))
+    return words[:1].upper() + words[1:] + ("" if ends else ".")
 
 
 def _update(message: str, progress: Progress | None, files: list[str] | None = None, *, redraw: bool = True) -> Update:
