@@ -73,7 +73,7 @@ def test_a_pinned_revision_is_kept():
 def test_check_asks_once_a_missing_model_and_names_them_all(monkeypatch):
     asked = []
 
-    def reach(name, revision=None):
+    def reach(name, revision=None, file=""):
         asked.append(name)
         raise ModelFilesError(f"{name!r}: the hub could not be reached: `a4 models pull {name}`")
 
@@ -87,7 +87,7 @@ def test_check_asks_once_a_missing_model_and_names_them_all(monkeypatch):
 
 
 def test_check_passes_on_that_a_model_is_gated(monkeypatch):
-    def reach(name, revision=None):
+    def reach(name, revision=None, file=""):
         raise CredentialError(f"{name!r} is gated")
 
     monkeypatch.setattr(hub, "reach", reach)
@@ -96,9 +96,18 @@ def test_check_passes_on_that_a_model_is_gated(monkeypatch):
 
 
 def test_check_returns_what_has_to_be_fetched(monkeypatch):
-    monkeypatch.setattr(hub, "reach", lambda name, revision=None: None)
+    monkeypatch.setattr(hub, "reach", lambda *_: None)
     missing = models.check({"spotter.segmenter": ExpertSettings(expert="sam2:tiny")})
     assert [(need.name, need.info.gigabytes) for need in missing] == [("facebook/sam2.1-hiera-tiny", 0.16)]
+
+
+def test_a_revision_and_a_file_are_part_of_how_a_model_is_called():
+    pinned = models.need("owner/vlm@v2")
+    assert (pinned.name, pinned.revision, pinned.reference) == ("owner/vlm", "v2", "owner/vlm@v2")
+    file = models.need("owner/lora/sub/file.safetensors")
+    assert (file.name, file.file, file.reference) == ("owner/lora", "sub/file.safetensors", file.name + "/" + file.file)
+    specs = {"vlm": ExpertSettings.model_validate({"expert": "transformers:owner/vlm", "revision": "v2"})}
+    assert models.needs(specs)[0].reference == "owner/vlm@v2"
 
 
 def test_the_terms_are_said_in_one_line():

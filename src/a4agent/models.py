@@ -16,7 +16,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 from a4agent.data_files import read_toml
 from a4agent.errors import CredentialError, ModelFilesError, UnknownNameError
@@ -68,8 +68,13 @@ class Need:
 
     @property
     def is_folder(self) -> bool:
-        """Whether it is a folder of the user's, which nobody fetches."""
-        return not _NAME.fullmatch(self.name) or Path(self.name).expanduser().is_dir()
+        """Whether it is a folder (or file) of the user's, which nobody fetches."""
+        return not _NAME.fullmatch(self.name) or Path(self.name).expanduser().exists()
+
+    @property
+    def reference(self) -> str:
+        """How `a4 models pull` is told of it."""
+        return hub.reference(self.name, self.revision, self.file)
 
     @property
     def commit(self) -> str:
@@ -102,7 +107,7 @@ def needs(experts: Mapping[str, Spec]) -> list[Need]:
 
 
 def need(checkpoint: str, revision: str | None = None, role: str = "") -> Need:
-    """One checkpoint: a folder, OWNER/NAME, OWNER/NAME/FILE, or "provider:model" of a single one.
+    """One checkpoint: a folder, OWNER/NAME or OWNER/NAME/FILE, either with "@REVISION" at its end.
 
     Raises:
         ModelFilesError: neither a folder nor a name.
@@ -111,6 +116,8 @@ def need(checkpoint: str, revision: str | None = None, role: str = "") -> Need:
     path = Path(checkpoint).expanduser()
     if path.exists():
         return Need(checkpoint, "", None, roles, path, Model(checkpoint, licence="your own folder"))
+    checkpoint, _, pinned = checkpoint.partition("@")
+    revision = revision or pinned or None
     if not _NAME.fullmatch(checkpoint):
         raise ModelFilesError(f"there is no folder {checkpoint!r}, and the name of a model is written 'OWNER/NAME'")
     owner, model, *rest = checkpoint.split("/")
@@ -132,13 +139,13 @@ def check(experts: Mapping[str, Spec]) -> list[Need]:
     failures: list[ModelFilesError | CredentialError] = []
     for one in missing:
         try:
-            hub.reach(one.name, one.revision)
+            hub.reach(one.name, one.revision, one.file)
         except (ModelFilesError, CredentialError) as error:
             failures.append(error)
     if len(failures) == 1:
         raise failures[0]
     if failures:
-        names = " ".join(dict.fromkeys(one.name for one in missing))
+        names = " ".join(one.reference for one in missing)
         raise type(failures[0])(
             f"{failures[0]}\n{len(missing)} models are missing; all of them: a4 models pull {names}"
         )
@@ -154,7 +161,7 @@ def _checkpoints_of(spec: str, settings: Mapping[str, Any]) -> list[tuple[str, s
         if short and model not in short and "/" not in model and not Path(model).expanduser().exists():
             hint = "A folder or OWNER/NAME will do as well."
             raise UnknownNameError.of(f"model of {provider!r}:", model, short, hint)
-        revision = cast("str | None", settings.get("revision")) or None
+        revision = str(settings["revision"]) if settings.get("revision") else None
         whole = (str(short.get(model, model)), revision)
         return [whole, *((file, None) for file in _lora_of(model, settings, table["lightning"]))]
     module: Any = sys.modules.get(registry.factory_of(provider).__module__)

@@ -164,6 +164,36 @@ def test_a_folder_is_verified_like_any_other(capsys, tmp_path):
     assert "not a checkpoint" in said
 
 
+def test_a_folder_of_ones_own_is_never_to_be_deleted_and_keeps_its_name(capsys, tmp_path):
+    folder = tmp_path / "models [x]"
+    folder.mkdir()
+    for name, data in REPOSITORY.items():
+        (folder / name).write_bytes(data)
+    assert f"{folder} is here: {folder}" in here(capsys, "pull", str(folder))[2]
+    assert f"whole   {folder}" in here(capsys, "verify", str(folder))[2]
+    for name in ("model.safetensors", "pytorch_model.bin"):
+        (folder / name).unlink()
+    _, _, said = here(capsys, "verify", str(folder))
+    assert f"damaged {folder}: there are no .safetensors files" in said
+    assert "delete" not in said
+
+
+def test_what_another_program_began_is_fetched_whole(a4, hub):
+    code = f"from huggingface_hub import hf_hub_download; hf_hub_download({TINY!r}, 'config.json')"
+    subprocess.run([sys.executable, "-c", code], env=a4.environment, check=True, timeout=60)
+    assert "○" in a4("list", "sam2:tiny").stdout
+    assert a4("pull", "sam2:tiny").returncode == 0
+    assert (a4.snapshot(TINY) / "model.safetensors").read_bytes() == WEIGHTS
+
+
+def test_the_advice_fetches_a_lora_alone_and_the_pinned_revision(capsys):
+    lightning = ("--set", "dreamer.editor.lightning=4", "--set", "spotter.segmenter.revision=v2")
+    _, shown, _ = here(capsys, "list", "modern", *lightning)
+    advice = next(line for line in shown.splitlines() if "a4 models pull" in line)
+    assert "lightx2v/Qwen-Image-Edit-2511-Lightning/Qwen-Image-Edit-2511-Lightning-4steps" in advice
+    assert advice.endswith("facebook/sam2.1-hiera-large@v2")
+
+
 @pytest.mark.parametrize(
     ("name", "endpoint", "words"),
     [

@@ -9,6 +9,7 @@ import pytest
 
 from a4agent.errors import MissingExtraError, ModelFilesError, ResourceError
 from a4agent.experts import hub
+from fake_hub import COMMIT, safetensors
 
 NAME = "owner/model-that-nobody-has"
 
@@ -45,10 +46,44 @@ def test_a_full_disk_is_not_called_a_hub_that_cannot_be_reached(online):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    online.setattr(hub, "reach", lambda name, revision=None: None)
+    online.setattr(hub, "reach", lambda *_: None)
     online.setattr("huggingface_hub.snapshot_download", full)
     with pytest.raises(ResourceError, match="HF_HOME"):
         hub.fetch(NAME)
+
+
+def test_a_cache_that_cannot_be_written_to_is_not_a_hub_that_cannot_be_reached(online):
+    def closed(*_, **__):
+        raise PermissionError(errno.EACCES, "Permission denied", "/models")
+
+    online.setattr(hub, "reach", lambda *_: None)
+    online.setattr("huggingface_hub.snapshot_download", closed)
+    with pytest.raises(ResourceError, match=r"cannot be written to .*Permission denied.*HF_HOME"):
+        hub.fetch(NAME)
+
+
+def test_a_snapshot_that_another_program_began_is_not_taken_for_a_whole_one(tmp_path, monkeypatch):
+    constants = pytest.importorskip("huggingface_hub").constants
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path))
+    folder = tmp_path / f"models--{NAME.replace('/', '--')}"
+    snapshot = folder / "snapshots" / COMMIT
+    snapshot.mkdir(parents=True)
+    (folder / "refs").mkdir()
+    (folder / "refs" / "main").write_text(COMMIT)
+    (snapshot / "config.json").write_text('{"model_type": "sam2"}')
+    assert hub.cached(NAME) is None
+    (snapshot / "model.safetensors").write_bytes(safetensors())
+    assert hub.cached(NAME) == snapshot
+
+
+@pytest.mark.parametrize(
+    ("wanted", "reference"),
+    [((NAME,), NAME), ((NAME, "v2"), f"{NAME}@v2"), ((NAME, None, "a/b.safetensors"), f"{NAME}/a/b.safetensors")],
+)
+def test_the_command_that_is_named_fetches_what_was_wanted(wanted, reference):
+    pytest.importorskip("huggingface_hub")
+    with pytest.raises(ModelFilesError, match=f"`a4 models pull {reference}`"):
+        hub.reach(*wanted)
 
 
 def test_whatever_else_goes_wrong_names_the_model_and_the_command(online):
@@ -58,7 +93,7 @@ def test_whatever_else_goes_wrong_names_the_model_and_the_command(online):
         tried.append(1)
         raise RuntimeError("something odd\nand long")
 
-    online.setattr(hub, "reach", lambda name, revision=None: None)
+    online.setattr(hub, "reach", lambda *_: None)
     online.setattr(hub, "_PAUSE_SECONDS", 0.0)
     online.setattr("huggingface_hub.snapshot_download", odd)
     with pytest.raises(ModelFilesError, match=f"{NAME}.*something odd.*a4 models pull {NAME}") as failed:
@@ -76,7 +111,7 @@ def test_a_download_that_broke_off_is_taken_up_again(online, tmp_path):
             raise result
         return result
 
-    online.setattr(hub, "reach", lambda name, revision=None: None)
+    online.setattr(hub, "reach", lambda *_: None)
     online.setattr(hub, "_PAUSE_SECONDS", 0.0)
     online.setattr("huggingface_hub.snapshot_download", flaky)
     assert hub.fetch(NAME) == tmp_path

@@ -67,6 +67,22 @@ def test_no_weights_are_said(folder):
     assert damage_in(folder) == ["there are no .safetensors files"]
 
 
+def test_the_parts_of_a_pipeline_are_needed(tmp_path):
+    index = {
+        "_class_name": "P",
+        "vae": ["d", "V"],
+        "text_encoder": ["t", "T"],
+        "tokenizer": ["t", "K"],
+        "x": [None, None],
+    }
+    (tmp_path / "model_index.json").write_text(json.dumps(index))
+    for part in ("vae", "tokenizer"):
+        (tmp_path / part).mkdir()
+    (tmp_path / "vae" / "config.json").write_text("{}")
+    (tmp_path / "other.safetensors").write_bytes(WEIGHTS)
+    assert damage_in(tmp_path) == ["text_encoder: missing", "vae: no weights"]
+
+
 def test_contents_are_compared_with_the_name_the_cache_gave_them(tmp_path):
     blobs, snapshot = tmp_path / "blobs", tmp_path / "snapshots" / "c"
     blobs.mkdir()

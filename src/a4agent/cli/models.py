@@ -60,7 +60,7 @@ def pull(
     missing = [need for need in needs if need.path is None]
     for need in needs:
         if need.path is not None:
-            messages.print(f"{need.name} is here: {need.path}")
+            messages.print(f"{need.name} is here: {need.path}", markup=False, soft_wrap=True)
     if not missing:
         return
     sizes = {need: hub.download_bytes(need.name, need.revision, need.file) for need in missing}
@@ -70,7 +70,7 @@ def pull(
         raise typer.Exit(common.USAGE)
     for need in missing:
         path = hub.fetch(need.name, need.revision, need.file)
-        messages.print(f"[green]fetched[/] {need.name}: {path}")
+        messages.print(f"[green]fetched[/] {need.reference}: {path}", soft_wrap=True)
 
 
 @app.command()
@@ -81,30 +81,36 @@ def verify(
     quick: Annotated[bool, typer.Option("--quick", help="Look at sizes and headers only, not at every byte.")] = False,
 ) -> None:
     """Check that models on this disk are whole; no network. Exit code 1 if one is not."""
+    from rich.markup import escape
+
     from a4agent.experts.intact import damage_in
 
     damaged = 0
     for need in _named(_with_profile(names, profile), sets):
         if need.path is None:
             damaged += 1
-            messages.print(f"[red]missing[/] {need.name}: a4 models pull {need.name}")
+            messages.print(f"[red]missing[/] {need.name}: a4 models pull {need.reference}", soft_wrap=True)
             continue
-        with messages.status(f"reading {need.name}"):
+        name = escape(need.name)
+        with messages.status(f"reading {name}"):
             found = damage_in(need.path, contents=not quick)
         for problem in found:
-            messages.print(f"[red]damaged[/] {need.name}: {problem}", markup=True, soft_wrap=True)
+            messages.print(f"[red]damaged[/] {name}: {escape(problem)}", soft_wrap=True)
         if found:
             damaged += 1
-            messages.print(f"  delete {_stored_in(need.path)} and run: a4 models pull {need.name}", soft_wrap=True)
+            messages.print(f"  {_repair(need, need.path)}", markup=False, soft_wrap=True)
         else:
-            messages.print(f"[green]whole[/]   {need.name}", soft_wrap=True)
+            messages.print(f"[green]whole[/]   {name}", soft_wrap=True)
     if damaged:
         raise typer.Exit(common.SOME_FAILED)
 
 
-def _stored_in(path: Path) -> Path:
-    """The folder to delete so that a fetch starts afresh: in the hub's cache, snapshots are links into it."""
-    return next((parent.parent for parent in (path, *path.parents) if parent.name == "snapshots"), path)
+def _repair(need: Need, path: Path) -> str:
+    """How to put damaged files right. In the hub's cache, snapshots are links into the folder to delete."""
+    if need.is_folder:
+        return "it is your own: replace what is damaged by hand"
+    stored = next((parent.parent for parent in path.parents if parent.name == "snapshots"), path)
+    return f"delete {stored} and run: a4 models pull {need.reference}"
 
 
 def _with_profile(names: list[str] | None, profile: str | None) -> list[str]:
@@ -174,7 +180,8 @@ def _show(needs: list[Need], *, everything: bool) -> None:
     for need in needs:
         mark = "[green]●[/]" if need.path else "[dim]○[/]"
         last = need.commit[:12] if everything else ", ".join(need.roles)
-        console.print(f"{mark} {escape(need.name):{_NAME_WIDTH}} {escape(need.terms)}  [dim]{last}[/]", soft_wrap=True)
+        line = f"{mark} {escape(need.name):{_NAME_WIDTH}} {escape(need.terms)}  [dim]{escape(last)}[/]"
+        console.print(line, soft_wrap=True)
     console.print("[dim]● on this disk   ○ not yet[/]")
     if not everything:
         _advise(console, needs)
@@ -185,7 +192,7 @@ def _advise(console: Console, needs: list[Need]) -> None:
     absent = [need for need in needs if need.path is None]
     if absent:
         size = sum(need.info.gigabytes or 0 for need in absent)
-        names = " ".join(need.name for need in absent)
+        names = " ".join(need.reference for need in absent)
         console.print(f"about {size:.1f} GB to fetch: [cyan]a4 models pull {names}[/]", soft_wrap=True)
     pinned = [need for need in needs if need.commit and not need.revision]
     if pinned:

@@ -20,6 +20,7 @@ from typing import cast
 
 from a4agent.errors import ModelFilesError
 from a4agent.experts import hub
+from a4agent.experts.intact import missing_files
 
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
 _BLOCK, _BLOCKS = 4096, 16
@@ -61,7 +62,12 @@ def find_checkpoint(model: str, *, kinds: Sequence[str] = (), revision: str | No
     kind = _kind(model, folder)
     if kinds and kind not in kinds:
         raise ModelFilesError(f"{model!r} is a checkpoint of {kind!r}; {' or '.join(map(repr, kinds))} is needed here")
-    _check_complete(model, folder)
+    missing = missing_files(folder)
+    if missing:
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise ModelFilesError(
+            f"{model!r} is not complete: {missing[0]}{more}, in {str(folder)!r}; fetch its files again"
+        )
     return Checkpoint(folder, commit or _digest(folder), kind)
 
 
@@ -113,19 +119,6 @@ def _kind(model: str, folder: Path) -> str:
             return value
         raise ModelFilesError(f"{name} in {str(folder)!r} does not say its {key!r}")
     raise ModelFilesError(f"{model!r} is not a checkpoint: there is no config.json or model_index.json in it")
-
-
-def _check_complete(model: str, folder: Path) -> None:
-    if not weight_files(folder):
-        raise ModelFilesError(f"{model!r} has no weights: there are no .safetensors files in {str(folder)!r}")
-    for index in folder.rglob("*.safetensors.index.json"):
-        shards = set(json.loads(index.read_text("utf-8"))["weight_map"].values())
-        missing = sorted(shard for shard in shards if not (index.parent / shard).is_file())
-        if missing:
-            raise ModelFilesError(
-                f"{model!r} is not complete: {len(missing)} of {len(shards)} files with weights are missing "
-                f"({missing[0]!r} first); `a4 models pull {model}` fetches the rest"
-            )
 
 
 def _digest(folder: Path) -> str:

@@ -19,12 +19,20 @@ from pathlib import Path
 from typing import Any
 
 from a4agent.errors import CredentialError, ModelFilesError, ResourceError, require
+from a4agent.experts.intact import missing_files
 
 PATTERNS = ["*.json", "*.safetensors", "*.txt", "*.jinja", "*.model"]
 """The files of a repository that loading needs; no pickled weights, no code."""
 
 _PROBE_SECONDS = 10.0
 _ATTEMPTS, _PAUSE_SECONDS = 3, 1.0
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+_NOT_WRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST)
+
+
+def reference(name: str, revision: str | None = None, file: str = "") -> str:
+    """How `a4 models pull` is told of it: OWNER/NAME, OWNER/NAME/FILE, OWNER/NAME@REVISION."""
+    return "/".join(filter(None, (name, file))) + (f"@{revision}" if revision else "")
 
 
 def cached(name: str, revision: str | None = None, file: str = "") -> Path | None:
@@ -36,20 +44,24 @@ def cached(name: str, revision: str | None = None, file: str = "") -> Path | Non
         found = hub.try_to_load_from_cache(name, file, revision=revision)
         return Path(found) if isinstance(found, str) else None
     try:
-        return Path(hub.snapshot_download(name, revision=revision, allow_patterns=PATTERNS, local_files_only=True))
+        folder = hub.snapshot_download(name, revision=revision, allow_patterns=PATTERNS, local_files_only=True)
     except errors.LocalEntryNotFoundError:
         return None
+    # Of a snapshot that another program began, or an older client, the hub's client cannot tell whether it is whole.
+    return None if missing_files(Path(folder)) else Path(folder)
 
 
-def reach(name: str, revision: str | None = None) -> None:
+def reach(name: str, revision: str | None = None, file: str = "") -> None:
     """Ask the hub for OWNER/NAME; a small question, so that what cannot work is known before any work starts.
+
+    `file` is the one that is wanted of it, for the message.
 
     Raises:
         ModelFilesError: it cannot be reached, or has no such model.
         CredentialError: the model is gated and this account has no access.
     """
     hub, _ = _hub()
-    with _explained(name, revision):
+    with _explained(name, revision, file):
         info = hub.HfApi().model_info(name, revision=revision, timeout=_PROBE_SECONDS)
         if info.gated:
             hub.HfApi().auth_check(name)
@@ -63,10 +75,10 @@ def fetch(name: str, revision: str | None = None, file: str = "") -> Path:
         CredentialError: the model is gated and this account has no access.
     """
     hub, _ = _hub()
-    reach(name, revision)
+    reach(name, revision, file)
     for attempts_left in reversed(range(_ATTEMPTS)):
         try:
-            with _explained(name, revision):
+            with _explained(name, revision, file):
                 if file:
                     return Path(hub.hf_hub_download(name, file, revision=revision))
                 return Path(hub.snapshot_download(name, revision=revision, allow_patterns=PATTERNS))
@@ -84,8 +96,8 @@ def download_bytes(name: str, revision: str | None = None, file: str = "") -> in
         ModelFilesError, CredentialError: as `fetch`.
     """
     hub, _ = _hub()
-    reach(name, revision)
-    with _explained(name, revision):
+    reach(name, revision, file)
+    with _explained(name, revision, file):
         if file:
             plans = [hub.hf_hub_download(name, file, revision=revision, dry_run=True)]
         else:
@@ -104,9 +116,10 @@ def _hub() -> tuple[Any, Any]:
 
 
 @contextmanager
-def _explained(name: str, revision: str | None) -> Generator[None, None, None]:
+def _explained(name: str, revision: str | None, file: str) -> Generator[None, None, None]:
     hub, errors = _hub()
-    pull = f"`a4 models pull {name}` where there is a network (or give a folder instead of the name)"
+    command = f"`a4 models pull {reference(name, revision, file)}`"
+    pull = f"{command} where there is a network (or give a folder instead of the name)"
     if hub.constants.HF_HUB_OFFLINE:
         raise ModelFilesError(
             f"{name!r} is not on this machine, and HF_HUB_OFFLINE forbids to fetch it: unset it, or run {pull}"
@@ -128,8 +141,13 @@ def _explained(name: str, revision: str | None) -> Generator[None, None, None]:
     except errors.EntryNotFoundError as error:
         raise ModelFilesError(f"{name!r} lacks a file: {_first_line(error)}") from error
     except Exception as error:  # the hub's client changes its HTTP library, and with it the classes, between versions
-        if getattr(error, "errno", None) == errno.ENOSPC:
+        number = getattr(error, "errno", None)
+        if number in _DISK_FULL:
             raise ResourceError(f"the disk of {str(cache_folder())!r} is full; HF_HOME moves the cache") from error
+        if number in _NOT_WRITABLE:
+            raise ResourceError(
+                f"{str(cache_folder())!r} cannot be written to ({_first_line(error)}); HF_HOME moves the cache"
+            ) from error
         raise _unreachable(name, pull, error) from error
 
 

@@ -30,7 +30,11 @@ def damage_in(path: Path, *, contents: bool = True, on_file: Callable[[Path], No
         on_file: is told of each file before it is read.
     """
     files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
-    found = _missing_files(path) if path.is_dir() else []
+    found: list[str] = []
+    if path.is_dir():
+        is_checkpoint = any((path / name).is_file() for name in ("config.json", "model_index.json"))
+        lacks = "there is no config.json or model_index.json: not a checkpoint"
+        found = missing_files(path) if is_checkpoint else [lacks]
     for file in files:
         if on_file is not None:
             on_file(file)
@@ -40,10 +44,16 @@ def damage_in(path: Path, *, contents: bool = True, on_file: Callable[[Path], No
     return found
 
 
-def _missing_files(folder: Path) -> list[str]:
-    if not any((folder / name).is_file() for name in ("config.json", "model_index.json")):
-        return ["there is no config.json or model_index.json: not a checkpoint"]
-    found: list[str] = []
+def missing_files(folder: Path) -> list[str]:
+    """What belongs to the files of a checkpoint's folder and is not there: weights, shards, parts of a pipeline."""
+    if not _has_weights(folder):
+        return ["there are no .safetensors files"]
+    found = [
+        f"{name}: {'no weights' if (folder / name).is_dir() else 'missing'}"
+        for name in _parts_of_pipeline(folder)
+        if not (folder / name).is_dir()
+        or ((folder / name / "config.json").is_file() and not _has_weights(folder / name))
+    ]
     for index in sorted(folder.rglob("*.safetensors.index.json")):
         try:
             shards = set(json.loads(index.read_text("utf-8"))["weight_map"].values())
@@ -54,9 +64,20 @@ def _missing_files(folder: Path) -> list[str]:
             for shard in sorted(shards)
             if not (index.parent / shard).is_file()
         ]
-    if not any(folder.rglob("*.safetensors")):
-        found.append("there are no .safetensors files")
     return found
+
+
+def _has_weights(folder: Path) -> bool:
+    return any(any(folder.rglob(pattern)) for pattern in ("*.safetensors", "pytorch_model*.bin"))
+
+
+def _parts_of_pipeline(folder: Path) -> list[str]:
+    """The sub-folders that model_index.json names, as {"vae": ["diffusers", "AutoencoderKL"], ...}; null is none."""
+    try:
+        index: Any = json.loads((folder / "model_index.json").read_text("utf-8"))
+        return sorted(name for name, part in index.items() if isinstance(part, list) and None not in part)
+    except (OSError, ValueError, AttributeError):
+        return []
 
 
 def _wrong_with(file: Path) -> str:
