@@ -156,9 +156,10 @@ def test_a_suite_has_one_budget(a4: Type) -> None:
     suite = ("bench", "--suite", "mine.toml", "--data", "data", "--set", "engine.in_flight=1", "--max-cost")
     code, out, err = a4(*suite, "0.1")
     assert code == 1
-    assert "engine.max_cost = 0.1" in err
+    assert "engine.max_cost = 0.1 dollars" in err
     assert "**optimal** (ours)" in out
     assert len(list(Path("runs").iterdir())) == 1, "the second system is not started on a budget that is used up"
+    assert "engine.max_seconds = 1e-06 is" in a4(*suite[:-1], "--max-seconds", "1e-6")[2], "as it was given"
     a4(*suite, "0.2")
     assert sum(record.cost for run in Path("runs").iterdir() for record in read_run(run).records.values()) <= 0.3
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -42,10 +43,12 @@ def confined(root: Path, relative: str) -> Path:
         path = (root / relative).resolve()
     except (OSError, RuntimeError, UnicodeError) as error:
         raise DataError(f"the dataset's file name {relative!r} cannot be followed: {error}") from error
-    if Path(relative).is_absolute() or not path.is_relative_to(root):
+    absolute = Path(relative).is_absolute()
+    if absolute or not path.is_relative_to(root):
+        linked = not absolute and Path(os.path.normpath(root / relative)).is_relative_to(root)
         raise DataError(
-            f"the dataset names the file {relative!r}, which is not inside {str(root)!r}; "
-            "nothing outside a dataset's own folder is read: copy the file into it"
+            f"the dataset names the file {relative!r}, which {'a link leads out of' if linked else 'is not inside'} "
+            f"{str(root)!r}; nothing outside a dataset's own folder is read: copy the file into it"
         )
     return path
 

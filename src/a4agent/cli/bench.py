@@ -118,14 +118,15 @@ def _run_all(systems: Sequence[Sequence[Bench]], as_json: bool) -> tuple[list[Ru
     """
     runs: list[Run] = []
     worst = common.OK
-    spent, started = 0.0, time.monotonic()
+    cost = seconds = 0.0
     for works in systems:
         try:
             with _agent(works[0]) as agent:
                 for work in works:
-                    ended = _run(_within(work, spent, time.monotonic() - started), agent, as_json)
+                    started = time.monotonic()
+                    ended = _run(_within(work, cost, seconds), agent, as_json)
                     runs += [ended.run] if ended.run.records else []
-                    spent += ended.cost
+                    cost, seconds = cost + ended.cost, seconds + time.monotonic() - started
                     worst = max(worst, ended.code)
                     if isinstance(ended.stopped, KeyboardInterrupt | BudgetExceeded):
                         return runs, ended.code
