@@ -221,3 +221,15 @@ def test_no_answer_in_time_is_said_once(photo: bytes) -> None:
 def test_a_url_that_is_none_is_refused() -> None:
     with pytest.raises(ValueError, match="http://127"):
         Client("robot.local:8000")
+    with pytest.raises(ValueError, match="Port"):
+        Client("http://robot.local:99999")
+
+
+def test_a_token_read_from_a_file_may_end_its_line(url: str, photo: bytes) -> None:
+    assert Client(url, TOKEN + "\n").predict(photo, "open").status == "ok"
+
+
+def test_a_newer_server_may_say_more_of_the_target(url: str, photo: bytes) -> None:
+    data = Client(url, TOKEN).predict(photo, "open").to_dict()
+    more = {**data, "target": {**data["target"], "mood": "glad"}}
+    assert client.Affordance.from_dict(more).target == client.Affordance.from_dict(data).target

@@ -171,7 +171,7 @@ class Affordance:
             size_wh=(width, height),
             status=data["status"],
             error=data["error"],
-            target=Target(**target) if target else None,
+            target=_target(target) if target else None,
             regions=tuple(_region(row) for row in data["regions"]),
             mask=_mask(data["mask"]),
             trace=tuple(data["trace"]),
@@ -200,13 +200,13 @@ class Client:
         ssl_context: ssl.SSLContext | None = None,
     ) -> None:
         parts = urlsplit(url)
-        if parts.scheme not in ("http", "https") or not parts.hostname:
+        if parts.scheme not in ("http", "https") or not parts.hostname or parts.port == 0:  # a bad port is a ValueError
             raise ValueError(f"a server is written like http://127.0.0.1:8000, not {url!r}")
         self.url = url.rstrip("/")
         self.timeout = timeout
         self.retries = retries
         self._parts = parts
-        self._headers = {"Authorization": "Bearer " + token} if token else {}
+        self._headers = {"Authorization": "Bearer " + token.strip()} if token else {}
         self._ssl = ssl_context
 
     def predict(self, image: Any, instruction: str, part: str | None = None) -> Affordance:
@@ -355,6 +355,10 @@ def _form(image: Any, instruction: str, part: str | None) -> tuple[bytes, str]:
     head = f'--{boundary}\r\nContent-Disposition: form-data; name="image"; filename="image"\r\n\r\n'
     body += head.encode() + data + f"\r\n--{boundary}--\r\n".encode()
     return body, "multipart/form-data; boundary=" + boundary
+
+
+def _target(row: dict[str, Any]) -> Target:
+    return Target(row["task"], row["object_name"], row["object_part"], row.get("thinking", ""))
 
 
 def _region(row: dict[str, Any]) -> Region:

@@ -104,6 +104,17 @@ def test_a_mask_that_spills_onto_the_background_does_not_pull_the_part_back() ->
     assert region.size_xyz[2] < 0.02
 
 
+@pytest.mark.parametrize("point", [[-30.0, 60.0], [80.0, -30.0], [400.0, 60.0], [80.0, 400.0]])
+def test_a_key_point_outside_the_picture_is_not_measured(point: list[float]) -> None:
+    region = only(lift(affordance(bar(), [point]), np.full((HEIGHT, WIDTH), 0.75), CAMERA))
+    assert np.isnan(region.points_xyz).all()
+
+
+def test_a_camera_that_was_never_calibrated_is_refused() -> None:
+    with pytest.raises(InputError, match="calibrate"):
+        lift(affordance(bar()), np.ones((HEIGHT, WIDTH)), np.zeros((3, 3)))
+
+
 def test_millimetres_need_their_scale() -> None:
     millimetres = np.full((HEIGHT, WIDTH), 750, np.uint16)
     with pytest.raises(InputError, match="depth_scale"):

@@ -40,3 +40,4 @@ def test_nothing_found_is_no_detection() -> None:
     detections = Affordance("open", (30, 20)).to_supervision()
     assert len(detections) == 0
     assert detections.mask.shape == (0, 20, 30)
+    assert len(Affordance("open", (0, 0), status="error").to_supervision()) == 0

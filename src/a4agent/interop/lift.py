@@ -31,12 +31,20 @@ LEAST_POINTS = 12
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A pinhole camera: focal lengths and principal point in pixels of the depth image."""
+    """A pinhole camera: focal lengths and principal point in pixels of the depth image.
+
+    Raises:
+        InputError: a focal length is not positive, as those of a camera that was never calibrated.
+    """
 
     fx: float
     fy: float
     cx: float
     cy: float
+
+    def __post_init__(self) -> None:
+        if not (0 < self.fx < np.inf and 0 < self.fy < np.inf):
+            raise InputError(f"focal lengths are positive, not {self.fx:g} and {self.fy:g}; calibrate the camera first")
 
     @classmethod
     def of(cls, matrix: np.ndarray) -> Intrinsics:
@@ -175,8 +183,9 @@ def _inliers(depth: np.ndarray) -> np.ndarray:
 
 
 def _depth_at(own: np.ndarray, x: float, y: float, radius: int) -> float:
-    column, row = int(x), int(y)
-    window = own[max(row - radius, 0) : row + radius + 1, max(column - radius, 0) : column + radius + 1]
+    column, row = int(np.floor(x)), int(np.floor(y))
+    top, left = max(row - radius, 0), max(column - radius, 0)
+    window = own[top : max(row + radius + 1, 0), left : max(column + radius + 1, 0)]
     measured = window[np.isfinite(window)]
     return float(np.median(measured)) if measured.size else float("nan")
 

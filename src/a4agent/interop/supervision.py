@@ -35,7 +35,7 @@ def to_supervision(affordance: Affordance) -> Any:
     scores = [region.score for region in regions if region.score is not None]
     return sv.Detections(
         xyxy=np.array([np.zeros(4) if box is None else box for box in boxes], np.float32).reshape(-1, 4),
-        mask=np.array([region.mask for region in regions], bool).reshape(-1, height, width),
+        mask=np.array([region.mask for region in regions], bool).reshape(len(regions), height, width),
         confidence=np.array(scores, np.float32) if len(scores) == len(regions) else None,
         class_id=np.zeros(len(regions), int),
         data={"class_name": np.full(len(regions), name), "points_xy": points},

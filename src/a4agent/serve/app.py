@@ -40,7 +40,7 @@ EXAMPLES = (
     ("thermos.jpg", "Unscrew the lid of the thermos."),
     ("drawer.jpg", "Open the drawer."),
 )
-"""Rendered by `a4 data make sim`, from models under the MIT licence."""
+"""Rendered by `a4 data make sim`, from models under the MIT licence; those of the kettle's kitchen under Apache-2.0."""
 POLICY = (
     "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; font-src 'self' data:;"
     " script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; connect-src 'self' blob: data:; worker-src 'self' blob:"
