@@ -114,6 +114,14 @@ def test_a_server_of_ones_own_has_no_list_price_and_may_leave_usage_out(openai_s
     assert (answer.usage.tokens_in, answer.usage.cost) == (0, None)
 
 
+def test_a_usage_that_is_none_counts_nothing(openai_server):
+    message = {"choices": [{"message": {"role": "assistant", "content": "x"}}]}
+    openai_server.replies(as_json({**message, "usage": {"prompt_tokens": "many", "completion_tokens": -4}}))
+    answer = ask(openai_server, QUESTION, price={"input": 1.0, "output": 1.0})
+    assert isinstance(answer, ChatAnswer)
+    assert (answer.usage.tokens_in, answer.usage.tokens_out, answer.usage.cost) == (0, 0, 0.0)
+
+
 @pytest.mark.parametrize(
     ("reply", "kind", "words"),
     [
@@ -123,6 +131,9 @@ def test_a_server_of_ones_own_has_no_list_price_and_may_leave_usage_out(openai_s
         (as_json({"hello": "world"}), ProviderUnavailable, "choices"),
         (chat(choices=[]), ProviderUnavailable, "choices"),
         (chat(choices=[{"index": 0, "finish_reason": "stop", "message": None}]), ProviderUnavailable, "choices"),
+        (chat(choices=[{"index": 0, "finish_reason": "stop", "message": "hi"}]), ProviderUnavailable, "choices"),
+        (as_json({"choices": 5}), ProviderUnavailable, "choices"),
+        (as_json({"choices": {"0": 1}}), ProviderUnavailable, "choices"),
         (chat(None, refusal="I cannot help with that"), RefusedAnswer, "cannot help"),
         (chat("", finish_reason="content_filter"), RefusedAnswer, "content filter"),
     ],
@@ -231,6 +242,14 @@ def test_a_parameter_the_model_refuses_is_left_out_from_then_on(openai_server):
     expert.close()
 
 
+def test_a_models_name_is_not_taken_for_the_parameter_it_refuses(openai_server):
+    openai_server.replies(error(400, "image is too small"))
+    expert = create("seed-1.6-temperature", "vlm", base_url=openai_server.url, max_retries=0, seed=3)
+    assert isinstance(expert.chat([QUESTION])[0], RequestRejected)
+    assert len(openai_server.calls) == 1
+    expert.close()
+
+
 def test_a_rejection_for_another_reason_is_not_taken_for_the_schema(openai_server):
     openai_server.replies(error(400, "image is too small"))
     failed = ask(openai_server, ChatRequest((PLAIN,), "x", schema=SCHEMA))
@@ -273,6 +292,8 @@ def test_keys_stay_out_of_the_fingerprint_and_settings_that_matter_are_in_it(ope
         {"concurrency": 0},
         {"base_url": "localhost:8000"},
         {"price": {"input": 1.0}},
+        {"price": 5},
+        {"extra": 5},
         {"price": {"input": -1.0, "output": 1.0}},
         {"server": "vlm"},
     ],

@@ -66,6 +66,8 @@ def call(at: FaultyServer, /, **settings):
         ),
         (Reply(chat().body, headers=JSON, cut=True), ProviderUnavailable, "reach"),
         (Reply(b"", headers=JSON), ProviderUnavailable, "not an answer"),
+        (Reply(b'{"id": "\xff"}', headers=JSON), ProviderUnavailable, "not an answer"),
+        (Reply(b"[" * 100_000, headers=JSON), ProviderUnavailable, "not an answer"),
     ],
 )
 def test_each_misbehaviour_is_its_own_error(openai_server, reply, kind, words):
@@ -94,6 +96,11 @@ def test_retry_after_is_waited_for_and_counted(openai_server):
         ({"retry_after": "0.5"}, 0.5),
         ({"retry_after_ms": "1500"}, 1.5),
         ({"retry_after": "soon"}, None),
+        ({"retry_after": "nan"}, None),
+        ({"retry_after": "inf"}, None),
+        ({"retry_after": "-3"}, 0.0),
+        ({"retry_after": "Wed, 21 Oct 2015 07:28:00"}, 0.0),
+        ({"retry_after": "Wed, 21 Oct 99999 07:28:00 GMT"}, None),
         ({}, None),
     ],
 )
@@ -197,6 +204,12 @@ def test_a_vendors_key_is_not_sent_to_another_server(openai_server, monkeypatch)
 )
 def test_a_server_is_known_by_its_address(base_url, name):
     assert find_server("", base_url).name == name
+
+
+@pytest.mark.parametrize("base_url", ["localhost:8000", "http://127.0.0.1:99999/v1", "http://[::1/v1", "ftp://x/v1"])
+def test_what_is_no_address_is_answered(base_url):
+    with pytest.raises(ConfigError, match="is no address"):
+        connect(None, base_url=base_url)
 
 
 def test_the_table_of_servers_is_complete():

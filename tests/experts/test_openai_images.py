@@ -108,6 +108,8 @@ def test_a_rate_limit_is_waited_for(openai_server):
         (as_json({"created": 1, "data": []}), UnreadableAnswer),
         (as_json({"created": 1, "data": [{"url": "http://127.0.0.1/x.png"}]}), UnreadableAnswer),
         (as_json({"created": 1, "data": [{"b64_json": "!!!"}]}), UnreadableAnswer),
+        (as_json({"created": 1, "data": [{"b64_json": 5}]}), UnreadableAnswer),
+        (as_json({"created": 1, "data": 5}), UnreadableAnswer),
         (as_json({"created": 1, "data": [{"b64_json": "aGVsbG8="}]}), UnreadableAnswer),
         (Reply(edited(RESULT).body, headers={"content-type": "application/json"}, cut=True), ProviderUnavailable),
     ],

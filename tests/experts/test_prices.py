@@ -45,7 +45,15 @@ def test_every_price_says_when_and_where():
 
 
 @pytest.mark.parametrize(
-    "price", [{}, {"input": 1}, {"input": 1, "output": -1}, {"input": 1, "output": 1, "cached": 1}]
+    "price",
+    [
+        {},
+        {"input": 1},
+        {"input": 1, "output": -1},
+        {"input": 1, "output": 1, "cached": 1},
+        {"input": "1", "output": 1},
+        5,
+    ],
 )
 def test_a_price_that_is_none_is_answered(price):
     with pytest.raises(ConfigError, match="million tokens"):

@@ -95,6 +95,8 @@ def test_points_can_be_left_out(openai_server):
     [
         (chat("(0,0),(10,20)"), UnreadableAnswer, "tokenizer"),
         (chat("", finish_reason="length"), TruncatedAnswer, "max_tokens"),
+        (chat(BOXES[:-12], finish_reason="length"), TruncatedAnswer, "max_tokens"),
+        (chat(["no text"], token_ids=["x"]), UnreadableAnswer, "tokenizer"),
         (chat(choices=[]), ProviderUnavailable, "choices"),
         (error(503, "loading"), ProviderUnavailable, "loading"),
     ],

@@ -20,7 +20,7 @@ from a4agent.errors import A4Error, ConfigError, RefusedAnswer, RequestRejected
 from a4agent.experts.base import ChatAnswer, ChatRequest, Role
 from a4agent.experts.openai_client import Connection, Sent
 from a4agent.experts.picture_bytes import PictureEncoder
-from a4agent.experts.remote import RemoteExpert
+from a4agent.experts.remote import RemoteExpert, fields_from_setting, text_of
 
 _RUNG_WORDS = ("response_format", "json_schema", "json_object", "schema", "grammar", "structured", "guided", "'json'")
 _OPTIONAL = ("temperature", "seed")
@@ -95,7 +95,7 @@ def create(
         detail=detail,
         concurrency=concurrency,
         price=price,
-        extra=extra or {},
+        extra=fields_from_setting(extra),
     )
 
 
@@ -182,7 +182,7 @@ class OpenAIVLM(RemoteExpert):
         """Remember which optional part of the request the server refused; False if it was none of them."""
         if getattr(error.__cause__, "status_code", None) not in _REFUSING:
             return False
-        said = str(error).lower()
+        said = str(error).removeprefix(str(self._connection)).lower()  # a model may be called "seed-1.6"
         refused = [name for name in _OPTIONAL if name in fields and name in said]
         if not refused and "response_format" in fields and any(word in said for word in _RUNG_WORDS):
             refused = [rung]
@@ -197,7 +197,7 @@ class OpenAIVLM(RemoteExpert):
             raise RefusedAnswer(f"{self._connection} declined: {refusal or 'stopped by its content filter'}")
         kept = (getattr(choice.message, name, None) for name in self._connection.server.reasoning_fields)
         return ChatAnswer(
-            text=_text_of(choice.message.content),
+            text=text_of(choice.message.content),
             reasoning=next((str(value) for value in kept if value), ""),
             finish_reason="length" if choice.finish_reason == "length" else "stop",
             usage=self._usage(completion, sent),
@@ -206,16 +206,6 @@ class OpenAIVLM(RemoteExpert):
 
 def _create_completion(client: Any, **fields: Any) -> Any:
     return client.chat.completions.with_raw_response.create(**fields)
-
-
-def _text_of(content: Any) -> str:
-    """A message's text: a string, or the text parts of a list."""
-    if isinstance(content, str):
-        return content
-    if isinstance(content, Sequence):
-        parts = [part.get("text") if isinstance(part, Mapping) else getattr(part, "text", "") for part in content]
-        return "".join(str(part) for part in parts if part)
-    return ""
 
 
 def _schema_format(schema: Mapping[str, Any], shape: str) -> dict[str, Any]:

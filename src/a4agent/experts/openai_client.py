@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import email.utils
 import json
+import math
 import os
 import threading
 import time
@@ -35,6 +36,7 @@ from a4agent.errors import (
 
 _NO_QUOTA = ("insufficient_quota", "billing_hard_limit_reached", "billing_not_active")
 _DECLINED = ("content_filter", "content_policy", "moderation_blocked", "responsibleaipolicy", "safety system")
+_NOT_JSON = (json.JSONDecodeError, UnicodeDecodeError, RecursionError)
 _LOCAL_KEY = "not-needed"  # the SDK wants some key; servers without one ignore it
 
 
@@ -76,6 +78,7 @@ def find_server(name: str = "", base_url: str = "") -> Server:
 
     Raises:
         UnknownNameError: no server of that name.
+        ConfigError: `base_url` is no address.
     """
     known = servers()
     if name:
@@ -84,10 +87,20 @@ def find_server(name: str = "", base_url: str = "") -> Server:
         return known[name]
     if not base_url:
         return known["openai"]
-    address = urlsplit(base_url)
-    by_host = (server for server in known.values() if address.hostname in server.hosts)
-    by_port = (server for server in known.values() if address.port is not None and address.port in server.ports)
+    host, port = _host_and_port(base_url)
+    by_host = (server for server in known.values() if host in server.hosts)
+    by_port = (server for server in known.values() if port is not None and port in server.ports)
     return next(by_host, None) or next(by_port, None) or known["other"]
+
+
+def _host_and_port(base_url: str) -> tuple[str, int | None]:
+    try:
+        address = urlsplit(base_url)
+        if address.scheme in ("http", "https") and address.hostname:
+            return address.hostname, address.port
+    except ValueError:  # a port that is none
+        pass
+    raise ConfigError(f"base_url = {base_url!r} is no address; write it as 'http://127.0.0.1:8000/v1'")
 
 
 class Connection:
@@ -117,8 +130,7 @@ class Connection:
         self.model = model
         self.server = find_server(server, base_url)
         self.base_url = (base_url or self.server.base_url).rstrip("/")
-        if urlsplit(self.base_url).scheme not in ("http", "https") or not urlsplit(self.base_url).hostname:
-            raise ConfigError(f"base_url = {base_url!r} is no address; write it as 'http://127.0.0.1:8000/v1'")
+        _host_and_port(self.base_url)
         self._key_variable = api_key_variable or self.server.key_variable
         self._key = self._read_key(required=bool(api_key_variable) or self.server.key_required)
         self._timeout = timeout
@@ -137,7 +149,7 @@ class Connection:
         try:
             raw = send(self._connected())
             parsed = raw.parse()
-        except (self._openai.OpenAIError, json.JSONDecodeError) as error:
+        except (self._openai.OpenAIError, *_NOT_JSON) as error:
             raise self._explain(error) from error
         if parsed is None or isinstance(parsed, str):
             raise ProviderUnavailable(f"{self} sent something that is not an answer: {str(parsed)[:200]!r}")
@@ -150,7 +162,7 @@ class Connection:
         try:
             listed = self._connected().with_options(max_retries=0, timeout=5.0).models.list()
             return [model.id for model in listed.data]
-        except (self._openai.OpenAIError, json.JSONDecodeError, AttributeError, TypeError):
+        except (self._openai.OpenAIError, *_NOT_JSON, AttributeError, TypeError):
             return []
 
     def close(self) -> None:
@@ -237,18 +249,16 @@ def _said(error: Any) -> str:
 
 
 def _retry_after(headers: Mapping[str, str]) -> float | None:
-    """Seconds from Retry-After (a number or an HTTP date) or its variant in milliseconds; None if absent."""
-    milliseconds = headers.get("retry-after-ms", "")
+    """Seconds from Retry-After (a number or an HTTP date) or its variant in milliseconds; None if there is none."""
     value = headers.get("retry-after", "")
+    for number, unit in ((headers.get("retry-after-ms", ""), 0.001), (value, 1.0)):
+        try:
+            seconds = float(number) * unit
+        except ValueError:
+            continue
+        return max(0.0, seconds) if math.isfinite(seconds) else None
+    date = email.utils.parsedate_tz(value)
     try:
-        return float(milliseconds) / 1000
-    except ValueError:
-        pass
-    try:
-        return float(value)
-    except ValueError:
-        pass
-    try:
-        return max(0.0, email.utils.parsedate_to_datetime(value).timestamp() - time.time())
-    except (TypeError, ValueError):
+        return None if date is None else max(0.0, email.utils.mktime_tz((*date[:9], date[9] or 0)) - time.time())
+    except (ValueError, OverflowError):
         return None

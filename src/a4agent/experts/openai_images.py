@@ -20,7 +20,7 @@ from a4agent.errors import A4Error, ConfigError, UnreadableAnswer
 from a4agent.experts.base import EditAnswer, EditRequest, Role
 from a4agent.experts.openai_client import Connection
 from a4agent.experts.picture_bytes import PictureEncoder
-from a4agent.experts.remote import RemoteExpert
+from a4agent.experts.remote import RemoteExpert, fields_from_setting
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -75,7 +75,9 @@ def create(
         max_retries=max_retries,
     )
     wanted = {name: value for name, value in {"size": size, "quality": quality}.items() if value}
-    return OpenAIEditor(connection, PictureEncoder("png", max_side), wanted, dict(extra or {}), concurrency, price)
+    return OpenAIEditor(
+        connection, PictureEncoder("png", max_side), wanted, fields_from_setting(extra), concurrency, price
+    )
 
 
 class OpenAIEditor(RemoteExpert):
@@ -115,8 +117,8 @@ class OpenAIEditor(RemoteExpert):
             )
         )
         data = getattr(result, "data", None)
-        encoded = getattr(data[0], "b64_json", None) if data else None
-        if not encoded:
+        encoded = getattr(data[0], "b64_json", None) if isinstance(data, list) and data else None
+        if not isinstance(encoded, str) or not encoded:
             raise UnreadableAnswer(f"{self._connection} sent no picture (data[0].b64_json is missing)")
         image = self._decode(encoded)
         if request.on_step is not None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, cast
 
 from a4agent.data_files import read_toml
 from a4agent.errors import ConfigError
@@ -43,18 +43,19 @@ def price_of(model: str) -> Price | None:
     return Price(**row) if row else None
 
 
-def price_from_setting(price: Mapping[str, float]) -> Price:
+def price_from_setting(price: Any) -> Price:
     """A price that the user states, such as {"input": 1.0, "output": 4.0}.
 
     Raises:
         ConfigError: a key that is no price, or a price that is missing or negative.
     """
+    table = dict(cast("Mapping[str, Any]", price)) if isinstance(price, Mapping) else {}
     known = {field.name for field in fields(Price)} - {"as_of", "source"}
-    wrong = [key for key in price if key not in known] + [key for key in ("input", "output") if key not in price]
-    if wrong or any(value < 0 for value in price.values()):
+    wrong = [key for key in table if key not in known] + [key for key in ("input", "output") if key not in table]
+    if wrong or any(not isinstance(value, (int, float)) or value < 0 for value in table.values()):
         raise ConfigError(
-            f"price = {dict(price)!r} is not a price: give input and output (and cached_input, image_input) "
+            f"price = {price!r} is not a price: give input and output (and cached_input, image_input) "
             "in US dollars per million tokens"
         )
-    stated: dict[str, Any] = {key: float(value) for key, value in price.items()}
+    stated: dict[str, Any] = {key: float(value) for key, value in table.items()}
     return Price(**stated)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from a4agent.errors import A4Error, ConfigError, ProviderUnavailable
 from a4agent.experts.base import ExpertBase, Usage
@@ -61,7 +61,7 @@ class RemoteExpert(ExpertBase):
 
     def _first_choice(self, completion: Any) -> Any:
         choices = getattr(completion, "choices", None)
-        if not choices or getattr(choices[0], "message", None) is None:
+        if not isinstance(choices, list) or not choices or not hasattr(getattr(choices[0], "message", None), "content"):
             raise ProviderUnavailable(f"{self._connection} sent an answer without choices")
         return choices[0]
 
@@ -85,5 +85,27 @@ class RemoteExpert(ExpertBase):
         )
 
 
+def text_of(content: Any) -> str:
+    """A message's text: a string, or the text parts of a list."""
+    if isinstance(content, str):
+        return content
+    if isinstance(content, Sequence):
+        parts = [part.get("text") if isinstance(part, Mapping) else getattr(part, "text", "") for part in content]
+        return "".join(str(part) for part in parts if part)
+    return ""
+
+
+def fields_from_setting(extra: Any) -> dict[str, Any]:
+    """The fields that a user adds to every request.
+
+    Raises:
+        ConfigError: not a table.
+    """
+    if extra is not None and not isinstance(extra, Mapping):
+        raise ConfigError(f"extra = {extra!r} is no table of fields; write it as {{top_k = 1}}")
+    return dict(cast("Mapping[str, Any]", extra or {}))
+
+
 def _count(usage: Any, *names: str) -> int:
-    return next((int(value) for name in names if (value := getattr(usage, name, None))), 0)
+    values = (getattr(usage, name, None) for name in names)
+    return next((int(value) for value in values if isinstance(value, (int, float)) and value > 0), 0)

@@ -20,7 +20,7 @@ from a4agent.errors import A4Error, ConfigError, TruncatedAnswer, UnreadableAnsw
 from a4agent.experts.base import Detection, DetectRequest, Role, Usage
 from a4agent.experts.openai_client import Connection, Sent
 from a4agent.experts.picture_bytes import PictureEncoder
-from a4agent.experts.remote import RemoteExpert
+from a4agent.experts.remote import RemoteExpert, text_of
 from a4agent.experts.rex_omni_answer import (
     MAX_NEW_TOKENS,
     REPETITION_PENALTY,
@@ -158,14 +158,18 @@ class RexOmniServer(RemoteExpert):
 
     def _read(self, completion: Any, sent: Sent, size_wh: tuple[int, int]) -> tuple[list[Shape], str, Usage]:
         choice = self._first_choice(completion)
-        text: str = choice.message.content or ""
-        ids: list[int] = getattr(choice, "token_ids", None) or []
+        text = text_of(choice.message.content)
+        if choice.finish_reason == "length":
+            raise TruncatedAnswer(
+                f"{self._connection} was cut off after {self._max_tokens} tokens; raise the detector's setting "
+                f"max_tokens, if it was not repeating itself: {text[:80]!r} ... {text[-80:]!r}"
+            )
+        found: Any = getattr(choice, "token_ids", None)
+        ids = [token for token in found if isinstance(token, int)] if isinstance(found, list) else []
         if SPECIAL_IDS[_BOX] in ids:
             shapes = read_tokens(ids, size_wh, _commas)
         elif _BOX in text:
             shapes = read_answer(text, size_wh)
-        elif choice.finish_reason == "length":
-            raise TruncatedAnswer(f"cut off after {self._max_tokens} tokens; raise the detector's setting max_tokens")
         else:
             raise UnreadableAnswer(
                 f"{self._connection} sent no {_BOX}, but {text[:200]!r}: it must keep special tokens and be served "
