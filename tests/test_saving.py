@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from a4agent import Affordance, Imagination
+from a4agent import Affordance, Imagination, folders
 from a4agent.errors import DataError, InputError
 from a4agent.images import load_image
-from a4agent.saving import load, make_folder, write_atomically
+from a4agent.saving import load, make_folder
 
 EMPTY = Affordance("open it", (8, 6), status="empty")
 
@@ -40,21 +40,34 @@ def test_a_folder_that_is_a_file_is_an_error_that_names_it(tmp_path: Path) -> No
             EMPTY.save(folder)
 
 
-def test_replacing_a_file_leaves_no_other(tmp_path: Path) -> None:
-    path = tmp_path / "a.json"
-    for text in ("one", "two"):
-        write_atomically(path, text)
-    assert path.read_text() == "two"
-    assert list(tmp_path.iterdir()) == [path]
+def test_saving_anew_leaves_nothing_of_the_answer_before(tmp_path: Path) -> None:
+    photo = Image.new("RGB", (8, 6))
+    replace(EMPTY, image=photo, imagination=Imagination("Edit it.", photo)).save(tmp_path)
+    (tmp_path / "notes.txt").touch()
+    replace(EMPTY, image=photo).save(tmp_path)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["affordance.json", "mask.png", "notes.txt", "overlay.png"]
+    Affordance("open it", (0, 0), status="error", error="no such image").save(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["affordance.json", "notes.txt"]
 
 
-def test_a_failed_write_keeps_the_old_file(tmp_path: Path) -> None:
-    path = tmp_path / "a.json"
-    write_atomically(path, "old")
-    with pytest.raises(UnicodeEncodeError):
-        write_atomically(path, "\ud800")
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
+def test_a_failed_write_keeps_the_old_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    EMPTY.save(tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def full(draft: Path, path: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(folders.os, "replace", full)
+    with pytest.raises(InputError, match="No space left"):
+        replace(EMPTY, size_wh=(3, 3)).save(tmp_path)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_name_that_is_not_unicode_is_saved_and_read_back(tmp_path: Path) -> None:
+    name = "caf\udce9"  # how Python shows the bytes of a file name that is not UTF-8
+    assert load(replace(EMPTY, id=name, instruction="开门").save(tmp_path)).id == name
+    assert "开门" in (tmp_path / "affordance.json").read_text(encoding="utf-8")
 
 
 def test_reading_what_is_not_there_or_not_an_answer(tmp_path: Path) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,29 +14,54 @@ from a4agent.affordance import Affordance
 from a4agent.errors import InputError
 from a4agent.folders import replace_file
 
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+
+PICTURES = ("mask.png", "overlay.png", "imagination.png")
+
 
 def save(affordance: Affordance, folder: Path) -> Path:
-    """Write the answer's files into `folder`, which is made; older ones are replaced whole.
+    """Write the answer's files into `folder`, which is made; older ones are replaced whole or removed.
 
     Raises:
         InputError: the folder cannot be written to.
     """
-    from PIL import Image
-
-    from a4agent import overlay
-
     make_folder(folder)
+    pictures = _pictures(affordance)
+    text = json.dumps(affordance.to_dict(), ensure_ascii=False, indent=1)
     try:
-        if affordance.size_wh[0] and affordance.size_wh[1]:
-            Image.fromarray(affordance.mask.astype(np.uint8) * 255).save(folder / "mask.png")
-        if affordance.image is not None:
-            overlay.draw(affordance.image, affordance).save(folder / "overlay.png", compress_level=3)
-        if affordance.imagination is not None and affordance.imagination.image is not None:
-            affordance.imagination.image.save(folder / "imagination.png", compress_level=3)
-        write_atomically(folder / "affordance.json", json.dumps(affordance.to_dict(), ensure_ascii=False, indent=1))
+        for name in PICTURES:
+            if name in pictures:
+                replace_file(folder / name, _png(pictures[name]))
+            else:
+                (folder / name).unlink(missing_ok=True)
+        # half a surrogate pair (a file name that is not UTF-8) becomes the escape that JSON has for it
+        replace_file(folder / "affordance.json", text.encode("utf-8", "backslashreplace"))
     except OSError as error:
         raise InputError(f"cannot write to {str(folder)!r}: {error}; choose another folder with --out") from error
     return folder
+
+
+def _pictures(affordance: Affordance) -> dict[str, Image]:
+    from PIL import Image as Pillow
+
+    from a4agent import overlay
+
+    found: dict[str, Image] = {}
+    if affordance.size_wh[0] and affordance.size_wh[1]:
+        found["mask.png"] = Pillow.fromarray(affordance.mask.astype(np.uint8) * 255)
+    if affordance.image is not None:
+        found["overlay.png"] = overlay.draw(affordance.image, affordance)
+    if affordance.imagination is not None and affordance.imagination.image is not None:
+        found["imagination.png"] = affordance.imagination.image
+    return found
+
+
+def _png(image: Image) -> bytes:
+    file = io.BytesIO()
+    image.save(file, "PNG", compress_level=3)
+    return file.getvalue()
 
 
 def load(folder: Path) -> Affordance:
@@ -63,8 +90,3 @@ def make_folder(folder: Path) -> None:
             pass
     except OSError as error:
         raise InputError(f"cannot write to {str(folder)!r}: {error}; choose another folder with --out") from error
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Replace a file in one step, so that a kill leaves the old one or the new one."""
-    replace_file(path, text.encode("utf-8"))
