@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,33 @@ def test_a_bomb_is_refused_before_it_is_unpacked() -> None:
         load_image(encoded(Image.new("1", (20_000, 20_000)), "PNG"))
 
 
+def test_a_limit_above_pillows_own_counts() -> None:
+    data = encoded(Image.new("1", (20_000, 9_000)), "PNG")
+    with pytest.raises(InputError, match=r"20000 x 9000.*image\.max_pixels"):
+        load_image(data)
+    theirs = Image.MAX_IMAGE_PIXELS
+    assert load_image(data, max_pixels=200_000_000).size == (20_000, 9_000)
+    assert theirs == Image.MAX_IMAGE_PIXELS
+
+
+def test_a_damaged_pil_image_is_refused_like_a_file() -> None:
+    with pytest.raises(InputError, match="damaged or cut off"):
+        load_image(Image.open(io.BytesIO(encoded(PHOTO, "PNG")[:900])))
+
+
+@pytest.mark.parametrize("source", [None, 3, [1, 2]])
+def test_what_is_no_kind_of_image_is_refused(source: object) -> None:
+    with pytest.raises(InputError, match=type(source).__name__):
+        load_image(source)  # type: ignore[arg-type]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with a name are POSIX's")
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.jpg")
+    with pytest.raises(InputError, match="pipe"):
+        load_image(tmp_path / "pipe.jpg")
+
+
 @pytest.mark.parametrize(
     "array",
     [np.zeros((4, 4, 3)), np.zeros((4, 4, 2), np.uint8), np.zeros((3,), np.uint8), np.zeros((0, 4, 3), np.uint8)],
@@ -138,3 +166,10 @@ def test_find_images_looks_below_and_leaves_hidden_ones(tmp_path: Path) -> None:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     assert [path.relative_to(tmp_path).as_posix() for path in find_images(tmp_path)] == ["a.png", "b.JPG", "sub/c.webp"]
+
+
+def test_find_images_takes_no_answers_for_photographs(tmp_path: Path) -> None:
+    for name in ("mug.png", "out/mug/mask.png", "out/mug/overlay.png", "out/mug/affordance.json", "out/cup.png"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    assert [path.relative_to(tmp_path).as_posix() for path in find_images(tmp_path)] == ["mug.png", "out/cup.png"]

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import io
+import threading
 import warnings
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -17,6 +20,7 @@ if TYPE_CHECKING:
 
 MAX_PIXELS = 100_000_000
 SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".gif", ".ppm"})
+_LIMIT = threading.Lock()
 
 
 class TooManyPixels(InputError):
@@ -36,16 +40,21 @@ def load_image(source: str | Path | bytes | np.ndarray | Image, *, max_pixels: i
     from PIL import Image
 
     if isinstance(source, Image.Image):
-        return _to_rgb(source, "the image", max_pixels)
+        with _explained("the image"):
+            return _to_rgb(source, "the image", max_pixels)
     if isinstance(source, np.ndarray):
         return _from_array(source, max_pixels)
     if isinstance(source, bytes):
         return _from_file(io.BytesIO(source), "the image", len(source), max_pixels)
+    if not isinstance(cast(Any, source), (str, Path)):
+        raise InputError(f"an image is a path, bytes, an array or a PIL image, not {type(source).__name__}")
     path = Path(source)
     try:
         size = path.stat().st_size
-        if path.is_dir():
-            raise InputError(f"{str(path)!r} is a folder, not an image")
+        if not path.is_file():  # a pipe would block, a device never end
+            raise InputError(
+                f"{str(path)!r} is {'a folder' if path.is_dir() else 'a pipe or device'}, not an image file"
+            )
         with path.open("rb") as file:
             return _from_file(file, repr(str(path)), size, max_pixels)
     except FileNotFoundError as error:
@@ -55,22 +64,37 @@ def load_image(source: str | Path | bytes | np.ndarray | Image, *, max_pixels: i
 
 
 def _from_file(file: IO[bytes], name: str, size: int, max_pixels: int) -> Image:
-    from PIL import Image, UnidentifiedImageError
-
     if size == 0:
         raise InputError(f"{name} is an empty file")
+    with warnings.catch_warnings(), _explained(name):
+        warnings.simplefilter("ignore", UserWarning)  # broken EXIF and the like: the pixels decide
+        with _open(file) as image:
+            return _to_rgb(image, name, max_pixels)
+
+
+def _open(file: IO[bytes]) -> Image:
+    """The picture, not yet decoded. Pillow's own limit of pixels, one for the whole process, gives way to ours."""
+    from PIL import Image
+
+    with _LIMIT:
+        limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+        try:
+            return Image.open(file)
+        finally:
+            Image.MAX_IMAGE_PIXELS = limit
+
+
+@contextmanager
+def _explained(name: str) -> Generator[None, None, None]:
+    """Turn whatever a decoder raises into an InputError that names the picture."""
+    from PIL import UnidentifiedImageError
+
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            warnings.simplefilter("ignore", UserWarning)  # broken EXIF and the like: the pixels decide
-            with Image.open(file) as image:
-                return _to_rgb(image, name, max_pixels)
-    except UnidentifiedImageError as error:
-        raise InputError(f"{name} is not an image in a format that can be read (JPEG, PNG, WebP, ...)") from error
-    except Image.DecompressionBombError as error:
-        raise TooManyPixels(f"{name} has too many pixels; the limit is the setting image.max_pixels") from error
+        yield
     except InputError:
         raise
+    except UnidentifiedImageError as error:
+        raise InputError(f"{name} is not an image in a format that can be read (JPEG, PNG, WebP, ...)") from error
     except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError, KeyError) as error:
         raise InputError(f"{name} is damaged or cut off: {error}") from error
     except Exception as error:  # decoders raise struct.error, zlib.error and more of their own
@@ -133,11 +157,13 @@ def image_hash(image: Image) -> str:
 
 
 def find_images(folder: Path) -> list[Path]:
-    """All image files below `folder`, sorted, hidden ones left out."""
-    return sorted(
+    """All image files below `folder`, sorted; hidden ones and the pictures of saved answers are left out."""
+    found = [
         path
         for path in folder.rglob("*")
         if path.suffix.lower() in SUFFIXES
         and path.is_file()
         and not any(part.startswith(".") for part in path.relative_to(folder).parts)
-    )
+    ]
+    answers = {parent for parent in {path.parent for path in found} if (parent / "affordance.json").is_file()}
+    return sorted(path for path in found if path.parent not in answers)
