@@ -10,7 +10,7 @@ from PIL import Image
 
 from a4agent import Affordance, Region, Target
 from a4agent.images import load_image
-from a4agent.overlay import caption_of, draw
+from a4agent.overlay import _font, caption_of, draw
 
 
 def answer(width: int, height: int, box: tuple[int, int, int, int] | None, part: str = "the handle") -> Affordance:
@@ -49,6 +49,21 @@ def test_the_caption_says_what_happened() -> None:
 @pytest.mark.parametrize("part", ["the handle of the mug " * 30, "ручка кружки", "冰箱的把手", "", "\n\t"])
 def test_any_caption(part: str) -> None:
     draw(Image.new("RGB", (300, 200)), answer(300, 200, (10, 10, 60, 60), part))
+
+
+def test_a_very_long_caption_takes_no_longer() -> None:
+    draw(Image.new("RGB", (300, 200)), answer(300, 200, None, "x" * 1_000_000))
+
+
+def test_letters_without_a_shape_become_an_ellipsis() -> None:
+    font, text = _font("the \U0010fffe\U0010fffd mug", 20)
+    assert text == "the … mug"
+    assert font.getlength(text)
+
+
+def test_a_picture_over_the_usual_limit_can_be_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(load_image, "__kwdefaults__", {"max_pixels": 100})
+    assert draw(Image.new("RGB", (30, 20)), answer(30, 20, None)).width == 640
 
 
 def test_an_answer_is_saved_whole_and_read_back(tmp_path: Path) -> None:

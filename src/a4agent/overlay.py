@@ -5,7 +5,10 @@ Everything is drawn light over a dark halo, so that it reads on bright and on da
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import re
+import sys
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -16,10 +19,26 @@ if TYPE_CHECKING:
     from PIL import ImageFont
     from PIL.Image import Image
 
+    Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
+
 ACCENTS = ((255, 61, 127), (0, 188, 212), (255, 179, 0), (124, 92, 255), (0, 200, 120))
 DARK = (16, 18, 24)
 LIGHT = (255, 255, 255)
 SHORTEST, LONGEST = 640, 1600
+LONGEST_CAPTION = 300
+"""In characters; more fit on no overlay."""
+FONTS = (
+    "NotoSans-Regular.ttf",
+    "DejaVuSans.ttf",
+    "NotoSansCJK-Regular.ttc",
+    "wqy-zenhei.ttc",
+    "DroidSansFallbackFull.ttf",
+    "Arial Unicode.ttf",
+    "msyh.ttc",
+    "malgun.ttf",
+    "arial.ttf",
+)
+"""What Linux, macOS and Windows may have for scripts other than Latin, by file name."""
 
 
 def draw(image: Image | np.ndarray, affordance: Affordance, *, opacity: float = 0.5, caption: bool = True) -> Image:
@@ -29,7 +48,7 @@ def draw(image: Image | np.ndarray, affordance: Affordance, *, opacity: float = 
     """
     from PIL import Image as Pillow
 
-    photo = load_image(image)
+    photo = load_image(image, max_pixels=sys.maxsize)  # it is in memory already: no limit any more
     scale = np.clip(max(photo.size), SHORTEST, LONGEST) / max(photo.size)
     size = (max(round(photo.width * scale), 1), max(round(photo.height * scale), 1))
     stroke = max(round(max(size) / 480), 1)
@@ -123,10 +142,9 @@ def _caption(canvas: Image, text: str, stroke: int) -> Image:
     from PIL import ImageDraw
 
     size = max(round(max(canvas.size) / 36), 13)
-    font = _font(text, size)
+    font, text = _font(" ".join(text.split())[:LONGEST_CAPTION], size)
     pad, margin = round(size * 0.55), round(size * 0.6)
     room = canvas.width - 2 * (pad + margin)
-    text = " ".join(text.split())
     while len(text) > 1 and font.getlength(text) > room:
         text = text[:-2].rstrip() + "…"
     if canvas.height < 3 * size or font.getlength(text) > room:
@@ -142,14 +160,37 @@ def _caption(canvas: Image, text: str, stroke: int) -> Image:
     return canvas
 
 
-def _font(text: str, size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Pillow's own font for Latin text; for other scripts whatever the system has, if anything."""
+def _font(text: str, size: int) -> tuple[Font, str]:
+    """The font that draws most of a text, and the text with an ellipsis for what that one cannot draw.
+
+    Pillow's own font for Latin text; for other scripts whatever the system has.
+    """
     from PIL import ImageFont
 
-    if not text.isascii():
-        for name in ("NotoSans-Regular.ttf", "NotoSansCJK-Regular.ttc", "DejaVuSans.ttf", "Arial Unicode.ttf"):
-            try:
-                return ImageFont.truetype(name, size)
-            except OSError:
-                continue
-    return ImageFont.load_default(size)
+    font: Font = ImageFont.load_default(size)
+    lacking = _lacking(font, text)
+    for name in FONTS:
+        other = _of_system(name, size) if lacking else None
+        if other is not None and len(fewer := _lacking(other, text)) < len(lacking):
+            font, lacking = other, fewer
+    return font, re.sub(f"[{re.escape(''.join(lacking))}]+", "…", text) if lacking else text
+
+
+@lru_cache(maxsize=32)
+def _of_system(name: str, size: int) -> Font | None:
+    from PIL import ImageFont
+
+    try:
+        return ImageFont.truetype(name, size)
+    except OSError:
+        return None
+
+
+def _lacking(font: Font, text: str) -> set[str]:
+    """The characters of a text for which a font has no shape."""
+
+    def shape(letter: str) -> bytes:
+        return bytes(cast(Any, font.getmask(letter)))
+
+    nothing = shape("\U0010ffff")
+    return {letter for letter in set(text) if not letter.isspace() and shape(letter) == nothing}
