@@ -37,6 +37,8 @@ OTHER = '{"task": "drink", "object_name": "cup", "object_part": "the rim of the 
         f"set {{x}} of [1, 2] and {{ {GOOD}",
         '{"object_name": " mug ", "object_part": "\\tthe handle of the mug\\n"}',
         f"### Output\n{GOOD}\n### Output\n{{broken",
+        f'The 5" one:\n{GOOD[:-1]},}}\nIt is the "mug".',
+        GOOD.replace('"drink"', "null"),
     ],
 )
 def test_an_answer_is_read_through_whatever_stands_around_it(text: str) -> None:
@@ -60,6 +62,7 @@ def test_an_answer_is_read_through_whatever_stands_around_it(text: str) -> None:
         ('{"object_name": "mug", "object_part": "the [object part] of the [object name]"}', "template"),
         ("[1, 2, 3]", "JSON value"),
         (GOOD[:-5], "no JSON object"),
+        ('{"object_name": ' + "1" * 5000 + "}", "no JSON object"),
     ],
 )
 def test_what_cannot_be_used_says_why(text: str, reason: str) -> None:
@@ -69,6 +72,11 @@ def test_what_cannot_be_used_says_why(text: str, reason: str) -> None:
 
 def test_thinking_is_what_stands_between_its_heading_and_the_output() -> None:
     assert read_target(output("the lid of the jar", thinking="It turns.\nIt opens.")).thinking == "It turns.\nIt opens."
+
+
+@pytest.mark.parametrize("text", [f"It is hot.\n```json\n{GOOD}\n```", f"It is hot. [{GOOD}]"])
+def test_thinking_without_headings_ends_where_the_json_begins(text: str) -> None:
+    assert read_target(text).thinking == "It is hot."
 
 
 def test_thinking_may_be_a_field_of_the_json() -> None:

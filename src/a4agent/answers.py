@@ -20,7 +20,8 @@ from a4agent.errors import UnreadableAnswer
 
 OUTPUT = re.compile(r"^[\s>*_]*#{1,6}[\s*_]*output\b[\s*_:]*", re.IGNORECASE | re.MULTILINE)
 THINKING = re.compile(r"^[\s>*_]*#{1,6}[\s*_]*thinking\b[\s*_:]*", re.IGNORECASE | re.MULTILINE)
-TRAILING_COMMA = re.compile(r'("(?:[^"\\]|\\.)*")|,(?=\s*[}\]])')
+LEAD_IN = re.compile(r"\s*(?:```\w*)?[\s\[]*$")
+TRAILING_COMMA = re.compile(r'("(?:[^"\\\n]|\\.)*")|,(?=\s*[}\]])')  # a stray quote in prose ends with its line
 MAX_OPENINGS = 1000
 
 
@@ -33,6 +34,11 @@ class TargetAnswer(BaseModel):
     task: str = ""
     object_name: str = Field(min_length=1, max_length=200)
     object_part: str = Field(min_length=1, max_length=400)
+
+    @field_validator("task", "thinking", mode="before")
+    @classmethod
+    def _nothing_is_blank(cls, value: Any) -> Any:
+        return "" if value is None else value
 
     @field_validator("object_name", "object_part")
     @classmethod
@@ -87,7 +93,7 @@ def _reason(error: ValidationError) -> str:
 
 
 def _thinking(text: str, end: int | None) -> str:
-    before = text[:end] if end is not None else text[: max(text.find("{"), 0)]
+    before = text[:end] if end is not None else LEAD_IN.sub("", text[: max(text.find("{"), 0)])
     heading = THINKING.search(before)
     return (before[heading.end() :] if heading else before).strip()
 
@@ -110,7 +116,7 @@ def json_values(text: str) -> Iterator[dict[str, Any] | list[Any]]:
         tried += 1
         try:
             value, place = decoder.raw_decode(text, opening.start())
-        except (json.JSONDecodeError, RecursionError):
+        except (ValueError, RecursionError):  # not JSON, or a number of thousands of digits
             place = opening.start() + 1
             continue
         yield value
