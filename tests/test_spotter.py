@@ -91,6 +91,28 @@ def test_masks_of_another_size_are_the_segmenters_failure() -> None:
         Spotter(ScriptedDetector(), ScriptedSegmenter([wrong])).locate(PHOTO, "x")
 
 
+@pytest.mark.parametrize(
+    "detection",
+    [
+        found([[0, 0, 9, 9], [1, 1, 5, 5]], scores=np.array([0.5], np.float32)),
+        found([[0, 0, 9, 9], [1, 1, 5, 5]], masks=np.zeros((1, 48, 64), bool)),
+        Detection(np.array([1, 2, 3], np.float32)),
+    ],
+)
+def test_arrays_that_do_not_fit_each_other_are_the_detectors_failure(detection: Detection) -> None:
+    with pytest.raises(ProviderError, match="do not fit"):
+        Spotter(ScriptedDetector([detection]), ScriptedSegmenter()).locate(PHOTO, "x")
+
+
+@pytest.mark.parametrize(("candidates", "qualities"), [(0, (1, 0)), (3, (1,)), (3, (1, 1)), (1, (1, 3))])
+def test_candidates_without_a_quality_each_are_the_segmenters_failure(
+    candidates: int, qualities: tuple[int, ...]
+) -> None:
+    wrong = Segmentation(np.zeros((1, candidates, 48, 64), bool), np.ones(qualities, np.float32))
+    with pytest.raises(ProviderError):
+        Spotter(ScriptedDetector(), ScriptedSegmenter([wrong])).locate(PHOTO, "x")
+
+
 def test_an_error_in_a_batch_is_raised_for_its_request() -> None:
     with pytest.raises(ProviderUnavailable, match="down"):
         Spotter(ScriptedDetector([ProviderUnavailable("down")]), ScriptedSegmenter()).locate(PHOTO, "x")

@@ -44,6 +44,13 @@ def test_failures_leave_a_step_and_keep_their_class() -> None:
     assert [step.error.partition(":")[0] for step in recorder.trace.steps] == ["RateLimited", "ValueError"]
 
 
+def test_an_answer_of_the_wrong_kind_is_the_experts_failure() -> None:
+    recorder = Recorder()
+    with pytest.raises(ProviderError, match="scripted:expert failed"):
+        recorder.ask("thinker", ScriptedVLM([None]), ChatRequest((), "well?"))
+    assert recorder.trace.steps[0].error
+
+
 def test_images_stay_out_of_the_trace() -> None:
     recorder = Recorder()
     recorder.ask("spotter", ScriptedDetector([Detection(np.ones((2, 4), np.float32))]), DetectRequest(PHOTO, "x"))

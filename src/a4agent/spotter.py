@@ -52,7 +52,7 @@ class Spotter:
         recorder = recorder or Recorder()
         if detection is None:
             detection = recorder.ask("spotter", self.detector, DetectRequest(image=image, phrase=phrase))
-        detection = _clean(detection, image.size)
+        detection = _clean(self.detector.id, detection, image.size)
         if on_detection is not None:
             on_detection(detection)
         if self.segmenter is None:
@@ -80,15 +80,19 @@ def _score(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _clean(detection: Detection, size_wh: tuple[int, int]) -> Detection:
+def _clean(expert: str, detection: Detection, size_wh: tuple[int, int]) -> Detection:
     """Boxes ordered, clipped and without empty ones, points inside the image; scores and masks follow the boxes."""
-    boxes, kept = geometry.clean_boxes(detection.boxes_xyxy, size_wh)
-    follow: dict[str, Any] = {}
-    if detection.scores is not None:
-        follow["scores"] = np.asarray(detection.scores, np.float32)[kept]
-    if detection.masks is not None:
-        follow["masks"] = detection.masks[kept]
-    return replace(detection, boxes_xyxy=boxes, points_xy=geometry.clean_points(detection.points_xy, size_wh), **follow)
+    try:
+        boxes, kept = geometry.clean_boxes(detection.boxes_xyxy, size_wh)
+        points = geometry.clean_points(detection.points_xy, size_wh)
+        follow: dict[str, Any] = {}
+        if detection.scores is not None:
+            follow["scores"] = np.asarray(detection.scores, np.float32)[kept]
+        if detection.masks is not None:
+            follow["masks"] = detection.masks[kept]
+    except (ValueError, IndexError) as error:
+        raise ProviderError(f"{expert} returned boxes, points, scores and masks that do not fit: {error}") from error
+    return replace(detection, boxes_xyxy=boxes, points_xy=points, **follow)
 
 
 def _best(
@@ -100,6 +104,8 @@ def _best(
         raise ProviderError(
             f"{expert} returned masks of shape {masks.shape} for {prompts} prompts on an image of {height} x {width}"
         )
+    if predicted_iou.shape != masks.shape[:2]:
+        raise ProviderError(f"{expert} returned predicted IoU of shape {predicted_iou.shape} for masks {masks.shape}")
     best = np.nan_to_num(predicted_iou, nan=-np.inf).argmax(1)
     rows = np.arange(prompts)
     return masks[rows, best].astype(bool, copy=False), predicted_iou[rows, best]

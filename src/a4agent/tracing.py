@@ -68,6 +68,7 @@ class Recorder:
             answer = ask(expert, [request])[0]
             if isinstance(answer, A4Error):
                 raise answer
+            text = _text_of(answer)
         except Exception as error:
             seconds = time.perf_counter() - started
             attempts = int(getattr(error, "attempts", 1))
@@ -88,7 +89,7 @@ class Recorder:
                 tokens_out=usage.tokens_out,
                 cost=usage.cost,
                 request_id=usage.request_id,
-                answer=_text_of(answer),
+                answer=text,
             )
         )
         return answer
