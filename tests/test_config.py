@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from a4agent.config import load_settings, parse_value, profile_names
+from a4agent.config import load_profile, load_settings, parse_value, profile_names
 from a4agent.errors import A4Error, ConfigError, UnknownNameError
 from a4agent.experts import registry
 
@@ -120,11 +120,59 @@ def test_a_misspelt_variable_is_an_error_that_suggests_the_right_one(profile: Pa
         ({"spotter.detector": "nocolon"}, "provider:model"),
         ({"dreamer": "off", "dreamer.vlm": "a:b"}, "dreamer"),
         ({"engine.cache": "maybe"}, "cache"),
+        ({"spotter.detector": "off"}, "provider:model'.*not 'off'$"),
+        ({"spotter.segmenter": 5}, "provider:model'.*not 5$"),
+        ({"spotter": 3}, "spotter' takes a table of settings, not 3"),
+        ({"dreamer": "on"}, "table of settings or 'off'"),
+        ({"profile": "paper"}, "--profile"),
+        ({"name": "x"}, "unknown setting 'name'"),
     ],
 )
 def test_settings_that_do_not_fit_are_explained(profile: Path, overrides: dict[str, object], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         load_settings(profile, overrides, environ={})
+
+
+@pytest.mark.parametrize("text", ["profile = 3", "profile = ['offline']", "[profile]\nsummary = 'mine'"])
+def test_a_profile_in_a_file_is_a_name(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a4.toml").write_text(text)
+    with pytest.raises(ConfigError, match=r"a4\.toml.*profile = 'offline'"):
+        load_settings(environ={}, folder=tmp_path)
+
+
+def test_an_error_names_where_the_setting_stands(profile: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "work"
+    folder.mkdir()
+    (folder / "a4.toml").write_text("[thinker]\nreasks = 9\n")
+    with pytest.raises(ConfigError, match=r"reasks.*from .*a4\.toml"):
+        load_settings(profile, environ={}, folder=folder)
+    with pytest.raises(ConfigError, match=r"reasks.*from the environment"):
+        load_settings(profile, environ={"A4_THINKER__REASKS": "8"}, folder=folder)
+    (folder / "a4.toml").write_text("[thinker]\nreask = 1\n")
+    with pytest.raises(UnknownNameError, match=r"reask.*from .*a4\.toml.*reasks"):
+        load_settings(profile, environ={}, folder=folder)
+
+
+def test_a_blank_variable_is_as_good_as_none(profile: Path) -> None:
+    environ = {"A4_SPOTTER__SEGMENTER": "", "A4_THINKER": "", "A4_PROFILE": ""}
+    assert load_settings(profile, environ=environ) == load_settings(profile, environ={})
+
+
+def test_switching_off_beats_the_settings_before_it(profile: Path) -> None:
+    overrides = {"spotter.segmenter.dtype": "fp32", "spotter.segmenter": "off", "dreamer.seed": 3, "dreamer": "off"}
+    settings = load_settings(profile, overrides, environ={})
+    assert (settings.spotter.segmenter, settings.dreamer) == (None, None)
+
+
+def test_a_profile_by_itself_knows_nothing_of_the_folder_and_the_environment(
+    profile: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("A4_PROFIL", "misspelt")
+    (tmp_path / "a4.toml").write_text("[thinker]\nreasks = 1\n")
+    thinker = load_profile(profile).thinker
+    assert thinker is not None
+    assert thinker.reasks == 2
 
 
 def test_a_missing_expert_says_how_to_give_it(tmp_path: Path) -> None:

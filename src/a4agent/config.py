@@ -28,6 +28,8 @@ FILE = "a4.toml"
 PREFIX = "A4_"
 OTHER_VARIABLES = frozenset({"A4_CACHE_DIR", "A4_SERVER_TOKEN"})
 STAGES = ("dreamer", "thinker", "spotter")
+AN_EXPERT = "an expert is written 'provider:model' (such as 'sam2:tiny')"
+OFF = ("off", "none", False)
 
 
 class Table(BaseModel):
@@ -46,13 +48,15 @@ class ExpertSettings(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _from_text(cls, value: Any) -> Any:
-        return {"expert": value} if isinstance(value, str) else value
+        if not isinstance(value, (str, Mapping, ExpertSettings)):
+            raise ValueError(f"{AN_EXPERT}, not {value!r}")
+        return {"expert": value} if isinstance(value, str) else cast("Any", value)
 
     @field_validator("expert")
     @classmethod
     def _has_a_provider(cls, value: str) -> str:
         if ":" not in value or value.startswith(":"):
-            raise ValueError(f"an expert is written 'provider:model' (such as 'sam2:tiny'), not {value!r}")
+            raise ValueError(f"{AN_EXPERT}, not {value!r}")
         return value
 
     @property
@@ -152,22 +156,41 @@ def load_settings(
 
     Raises:
         UnknownNameError: an unknown profile, setting or `A4_` variable; the message suggests the nearest.
-        ConfigError: a value that does not fit, or a file that is not TOML.
+        ConfigError: a value that does not fit, or a file that is not TOML; the message names where it stands.
     """
     from_environment = _read_environment(os.environ if environ is None else environ)
     path = (folder or Path.cwd()) / FILE
     from_file = read_toml(path) if path.is_file() else {}
-    chosen = profile or from_environment.pop("profile", None) or from_file.pop("profile", None) or "offline"
+    named = from_file.pop("profile", None)
+    if named is not None and not isinstance(named, str):
+        raise ConfigError(f"profile in {str(path)!r} is a profile's name or TOML file, as in profile = 'offline'")
+    chosen = profile or from_environment.pop("profile", None) or named or "offline"
     from_environment.pop("profile", None)
-    from_file.pop("profile", None)
-    merged = _read_profile(chosen)
-    for layer in (from_file, from_environment, _nested(overrides or {})):
+    return _merge(chosen, {str(path): from_file, "the environment": from_environment, "": _nested(overrides or {})})
+
+
+def load_profile(profile: str | Path) -> Settings:
+    """A profile by itself, whatever stands in the environment and in `a4.toml`.
+
+    Raises:
+        UnknownNameError: an unknown profile or setting; the message suggests the nearest.
+        ConfigError: a value that does not fit, or a file that is not TOML.
+    """
+    return _merge(profile, {})
+
+
+def _merge(profile: str | Path, layers: Mapping[str, dict[str, Any]]) -> Settings:
+    """The settings of a profile with layers over it, by where each comes from; the last one wins."""
+    merged = _read_profile(profile)
+    for source, layer in layers.items():
+        if "name" in layer:  # the profile's own, which no layer may set
+            raise _unknown_setting(["name"], _from(source))
         _overlay(merged, layer)
-    merged["name"] = Path(chosen).stem if str(chosen).endswith(".toml") else str(chosen)
+    merged["name"] = Path(profile).stem if str(profile).endswith(".toml") else str(profile)
     try:
         return Settings.model_validate(merged)
     except ValidationError as error:
-        raise _explained(error, str(chosen)) from error
+        raise _explained(error, str(profile), layers) from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -210,6 +233,8 @@ def _read_environment(environ: Mapping[str, str]) -> dict[str, Any]:
             continue
         if variable not in known and not any(variable.startswith(f"{name}__") for name in _expert_variables()):
             raise UnknownNameError.of("environment variable", variable, known | OTHER_VARIABLES)
+        if not text:  # as unset, which is how shells and compose files leave a variable out
+            continue
         keys = variable.removeprefix(PREFIX).lower().split("__")
         _put(found, keys, text if keys == ["profile"] else parse_value(text))
     return found
@@ -252,7 +277,7 @@ def _put(tree: dict[str, Any], keys: list[str], value: Any) -> None:
             below = tree[key] = {"expert": below}
         tree = cast("dict[str, Any]", below)
     last = keys[-1]
-    if isinstance(value, str) and isinstance(tree.get(last), dict):
+    if isinstance(value, str) and value not in OFF and isinstance(tree.get(last), dict):
         value = {**tree[last], "expert": value}
     tree[last] = value
 
@@ -261,7 +286,7 @@ def _overlay(base: dict[str, Any], layer: Mapping[str, Any]) -> None:
     """Lay `layer` over `base`: tables merge, everything else replaces; "off" and False switch a table off."""
     for key, value in layer.items():
         below = base.get(key)
-        if value in ("off", "none", False) and (key in STAGES or key == "segmenter"):
+        if value in OFF and (key in STAGES or key == "segmenter"):
             base[key] = None
         elif isinstance(value, Mapping):
             if isinstance(below, str):
@@ -275,19 +300,47 @@ def _overlay(base: dict[str, Any], layer: Mapping[str, Any]) -> None:
             base[key] = value
 
 
-def _explained(error: ValidationError, profile: str) -> ConfigError:
+def _explained(error: ValidationError, profile: str, layers: Mapping[str, dict[str, Any]]) -> ConfigError:
     first = error.errors()[0]
     place = [str(part) for part in first["loc"]]
     name = ".".join(place)
+    setters = (source for source, layer in reversed(list(layers.items())) if _stands_in(layer, place))
+    where = _from(next(setters, f"profile {profile!r}"))
     if first["type"] == "extra_forbidden":
-        table: type[BaseModel] | None = Settings
-        for part in place[:-1]:
-            field = table.model_fields.get(part) if table else None
-            table = _table_of(field.annotation) if field else None
-        known = list(table.model_fields) if table else []
-        near = nearest(place[-1], known)
-        guess = f"did you mean {near!r}?" if near else f"known: {', '.join(known)}."
-        return UnknownNameError(f"unknown setting {name!r}; {guess}")
+        return _unknown_setting(place, where)
     if first["type"] == "missing":
         return ConfigError(f"the setting {name!r} is missing in profile {profile!r}; add --set {name}=VALUE")
-    return ConfigError(f"setting {name!r}: {first['msg']}, not {first['input']!r}")
+    if name == "profile":
+        return ConfigError(f"setting 'profile'{where}: a profile is chosen with --profile or A4_PROFILE")
+    if first["type"] == "value_error":
+        return ConfigError(f"setting {name!r}{where}: {first['msg'].removeprefix('Value error, ')}")
+    if first["type"] in ("model_type", "model_attributes_type"):
+        off = " or 'off'" if name in ("dreamer", "thinker") else ""
+        return ConfigError(f"setting {name!r}{where} takes a table of settings{off}, not {first['input']!r}")
+    return ConfigError(f"setting {name!r}{where}: {first['msg']}, not {first['input']!r}")
+
+
+def _from(source: str) -> str:
+    return f" (from {source})" if source else ""
+
+
+def _unknown_setting(place: list[str], where: str = "") -> UnknownNameError:
+    table: type[BaseModel] | None = Settings
+    for part in place[:-1]:
+        field = table.model_fields.get(part) if table else None
+        table = _table_of(field.annotation) if field else None
+    known = [name for name in table.model_fields if name != "name"] if table else []
+    near = nearest(place[-1], known)
+    guess = f"did you mean {near!r}?" if near else f"known: {', '.join(known)}."
+    return UnknownNameError(f"unknown setting {'.'.join(place)!r}{where}; {guess}")
+
+
+def _stands_in(layer: Any, place: list[str]) -> bool:
+    """Whether a layer sets what stands at `place`, or, as one value, something above it."""
+    for part in place:
+        if not isinstance(layer, Mapping):
+            return True
+        if part not in layer:
+            return False
+        layer = cast("Mapping[str, Any]", layer)[part]
+    return True
