@@ -12,7 +12,7 @@ from a4agent.experts import registry
 from a4agent.testing import ScriptedDetector
 
 
-def make(model: str, role: str, *, size: int = 3) -> Any:
+def make(model: str, role: str, *, size: int = 3, name: str | None = None, rate: float = 1.0, more: Any = None) -> Any:
     return ScriptedDetector(id=f"mine:{model}", max_batch=size)
 
 
@@ -40,6 +40,21 @@ def test_an_unknown_provider_suggests_the_nearest() -> None:
 def test_an_unknown_setting_suggests_the_nearest() -> None:
     with pytest.raises(UnknownNameError, match="'sizes'; did you mean 'size'"):
         registry.create("mine:x", "detector", {"sizes": 5})
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"size": "five"}, "'size' of 'mine:x' takes a whole number, not 'five'"),
+        ({"size": True}, "a whole number, not True"),
+        ({"name": 1234567}, "a text .*quotes.*, not 1234567"),
+        ({"rate": "fast"}, "a number, not 'fast'"),
+    ],
+)
+def test_a_value_of_the_wrong_kind_is_explained(settings: dict[str, object], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        registry.create("mine:x", "detector", settings)
+    assert registry.create("mine:x", "detector", {"rate": 2, "name": None, "more": [1]})
 
 
 def test_a_role_the_expert_cannot_play_is_refused() -> None:

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from a4agent.errors import ConfigError, UnknownNameError
 from a4agent.experts.base import Expert, Role
@@ -25,6 +26,14 @@ from a4agent.plugins import keywords_of as settings_of
 
 VERBS: dict[Role, str] = {"vlm": "chat", "editor": "edit", "detector": "detect", "segmenter": "segment"}
 Factory = Callable[..., Expert]
+PLAIN: dict[Any, str] = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a text (in quotes if it looks like a number)",
+    NoneType: "",
+}
+"""The types of settings that are checked here, in words."""
 
 plugins = Plugins("a4agent.experts", "expert provider", "`a4 models list` shows what there is.")
 
@@ -96,7 +105,28 @@ def create(spec: str, role: Role, settings: Mapping[str, Any] | None = None) -> 
         for name in settings:
             if name not in known:
                 raise UnknownNameError.of(f"setting of {spec!r}:", name, known)
+    _check_values(spec, factory, settings)
     expert = factory(model, role, **settings)
     if not callable(getattr(expert, VERBS[role], None)):
         raise ConfigError(f"{spec!r} cannot be a {role}: it has no method {VERBS[role]!r}")
     return expert
+
+
+def _check_values(spec: str, factory: Factory, settings: Mapping[str, Any]) -> None:
+    """Hold values to the plain types of a factory's annotations; what else there is, the factory checks."""
+    try:
+        hints = get_type_hints(factory)
+    except Exception:  # annotations of a stranger's that only a type checker can read
+        return
+    for name, value in settings.items():
+        hint = hints.get(name, Any)
+        kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+        if all(kind in PLAIN for kind in kinds) and not any(_is_a(value, kind) for kind in kinds):
+            words = " or ".join(PLAIN[kind] for kind in kinds if kind is not NoneType)
+            raise ConfigError(f"setting {name!r} of {spec!r} takes {words}, not {value!r}")
+
+
+def _is_a(value: Any, kind: type) -> bool:
+    if isinstance(value, bool):
+        return kind is bool
+    return isinstance(value, (int, float) if kind is float else kind)
