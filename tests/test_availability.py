@@ -54,6 +54,7 @@ def test_a_missing_library_names_its_extra(profile: Path, monkeypatch: pytest.Mo
     ("error", "what", "fix"),
     [
         (MissingExtraError("'x' is not installed: pip install 'a4agent[api]'"), "not installed", "pip install"),
+        (KeyError("mood"), "mine:detector cannot be made", "--set spotter.detector="),
         (ConfigError("no such mood"), "no such mood", "--set spotter.detector="),
     ],
 )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import cast
 
 from a4agent import models
-from a4agent.config import ExpertSettings, Settings, load_settings
+from a4agent.config import ExpertSettings, Settings, load_profile
 from a4agent.errors import A4Error, CredentialError, MissingExtraError
 from a4agent.experts import registry
 from a4agent.experts.base import Role
@@ -43,9 +43,9 @@ def missing_modules(extra: str) -> list[str]:
 
 
 def check_profile(name: str) -> list[Missing]:
-    """What stands between this machine and a profile; empty if nothing does. Never raises."""
+    """What stands between this machine and a profile by itself; empty if nothing does. Never raises."""
     try:
-        settings = load_settings(name, environ={})
+        settings = load_profile(name)
     except A4Error as error:
         return [Missing(str(error), f"correct the profile {name!r}")]
     return check_settings(settings)
@@ -86,4 +86,6 @@ def _try_to_build(role: str, spec: ExpertSettings) -> list[Missing]:
         return [Missing(what, fix)]
     except A4Error as error:
         return [Missing(f"{role}: {error}", f"--set {role}=PROVIDER:MODEL")]
+    except Exception as error:  # somebody's expert that breaks
+        return [Missing(f"{role}: {spec.expert} cannot be made: {error!r}", f"--set {role}=PROVIDER:MODEL")]
     return []

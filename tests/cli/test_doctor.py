@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -20,6 +21,21 @@ def test_it_names_what_is_here(capsys: pytest.CaptureFixture[str]) -> None:
     found = report(capsys)
     assert found["profiles"]["offline"] == []  # type: ignore[index]
     assert found["cores"]
+
+
+def test_it_works_without_a_home(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(Path, "home", lambda: tmp_path / "nobody")
+    assert report(capsys)["free_disk_gb"] is None
+
+
+def test_it_says_what_is_wrong_with_the_settings(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert report(capsys)["settings"] == ""
+    monkeypatch.setenv("A4_PROFIL", "offline")
+    assert "A4_PROFILE" in str(report(capsys)["settings"])
 
 
 def test_it_names_the_command_for_what_is_not(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -27,6 +28,14 @@ def test_one_profile_shows_its_experts_and_what_is_missing(capsys: pytest.Captur
     shown = said(capsys, "paper")
     assert "openai:gpt-4o" in shown
     assert "OPENAI_API_KEY" in shown
+
+
+def test_profiles_are_shown_as_they_are_whatever_the_folder_says(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a4.toml").write_text("[spotter]\nsegmenter = 'sam2:tiny'\n[engin]\n")
+    assert "sam2:tiny" not in said(capsys, "offline")
 
 
 def test_json_is_one_value_with_everything(capsys: pytest.CaptureFixture[str]) -> None:

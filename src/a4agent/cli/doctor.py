@@ -13,7 +13,7 @@ import typer
 
 from a4agent import __version__
 from a4agent.availability import EXTRAS, check_profile, missing_modules
-from a4agent.config import profile_names
+from a4agent.config import load_settings, profile_names
 from a4agent.errors import A4Error
 
 SIZES = {
@@ -48,7 +48,7 @@ def examine() -> dict[str, Any]:
         "cores": os.cpu_count(),
         "memory_gb": _memory_gb(),
         "accelerators": _accelerators(),
-        "free_disk_gb": round(shutil.disk_usage(Path.home()).free / 1e9, 1),
+        "free_disk_gb": _free_disk_gb(),
         "hub_offline": os.environ.get("HF_HUB_OFFLINE", "") not in ("", "0"),
         "keys": {name: bool(os.environ.get(name, "").strip()) for name in ("OPENAI_API_KEY", "HF_TOKEN")},
         "extras": {
@@ -56,6 +56,7 @@ def examine() -> dict[str, Any]:
             for extra in EXTRAS
         },
         "simulator": _simulator(),
+        "settings": _settings(),
         "profiles": {
             name: [{"what": missing.what, "fix": missing.fix} for missing in check_profile(name)]
             for name in profile_names()
@@ -79,6 +80,23 @@ def _simulator() -> str:
     return ""
 
 
+def _settings() -> str:
+    """What is wrong with the variables `A4_*` and `a4.toml` here, which every command reads; "" if nothing is."""
+    try:
+        load_settings()
+    except A4Error as error:
+        return str(error)
+    return ""
+
+
+def _free_disk_gb() -> float | None:
+    """Where models are fetched to."""
+    try:
+        return round(shutil.disk_usage(Path.home()).free / 1e9, 1)
+    except (OSError, RuntimeError):
+        return None
+
+
 def _memory_gb() -> float | None:
     try:
         return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 1)
@@ -88,11 +106,11 @@ def _memory_gb() -> float | None:
 
 def _accelerators() -> list[str]:
     """The GPUs that torch sees; asks torch only if it is installed."""
-    if missing_modules("local") and "torch" in missing_modules("local"):
+    if "torch" in missing_modules("local"):
         return []
     try:
         import torch
-    except ImportError:
+    except (ImportError, OSError):  # a library below torch that does not load is an OSError
         return []
     if torch.cuda.is_available():
         return [
@@ -111,7 +129,10 @@ def _show(report: dict[str, Any]) -> None:
     console.print(f"a4agent {report['a4agent']}, Python {report['python']}, {escape(report['platform'])}")
     accelerators = ", ".join(report["accelerators"]) or "no GPU (the profiles `offline` and `api` need none)"
     memory = f"{report['memory_gb']} GB memory" if report["memory_gb"] else "memory unknown"
-    console.print(f"{report['cores']} cores, {memory}, {report['free_disk_gb']} GB disk free, {accelerators}")
+    disk = f"{report['free_disk_gb']} GB disk free" if report["free_disk_gb"] is not None else "disk unknown"
+    console.print(f"{report['cores']} cores, {memory}, {disk}, {accelerators}")
+    if report["settings"]:
+        console.print(f"\n[bold]Settings[/]\n  {bad} {escape(report['settings'])}")
     console.print("\n[bold]Extras[/]")
     for extra, state in report["extras"].items():
         if not state["missing"]:

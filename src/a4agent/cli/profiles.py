@@ -9,7 +9,7 @@ import typer
 
 from a4agent import models
 from a4agent.availability import check_profile
-from a4agent.config import Settings, load_settings, profile_names
+from a4agent.config import Settings, load_profile, profile_names
 
 
 def profiles(
@@ -18,7 +18,7 @@ def profiles(
 ) -> None:
     """List the profiles and what each needs."""
     names = [name] if name else profile_names()
-    found = {known: load_settings(known, environ={}) for known in names}
+    found = {known: load_profile(known) for known in names}
     if as_json:
         print(json.dumps([_as_dict(known, settings) for known, settings in found.items()], indent=1))
     elif name:
@@ -53,7 +53,7 @@ def _show_all(found: dict[str, Settings]) -> None:
     table.add_column("")
     table.add_column("profile", no_wrap=True)
     table.add_column("what", ratio=3)
-    table.add_column("memory", ratio=2)
+    table.add_column("memory", ratio=2, overflow="fold")
     for name, settings in found.items():
         here = not check_profile(name)
         mark = "[green]●[/]" if here else "[dim]○[/]"
