@@ -198,6 +198,10 @@ def _checked(instruction: str) -> str:
         raise InputError(f"the instruction is text, not {type(text).__name__}")
     if not text.strip():
         raise InputError("the instruction is blank; say what to do, for instance 'open the refrigerator'")
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise InputError(f"the instruction {text!r} is not Unicode text: {error.reason}; write it in UTF-8") from error
     return text.strip()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -116,6 +117,44 @@ def test_wrong_use_exits_with_2_and_says_what_is_right(
     assert "Traceback" not in said
 
 
+def test_running_again_beside_its_answers_takes_the_same_photographs(capsys: pytest.CaptureFixture[str]) -> None:
+    for _ in range(2):
+        assert run("photos", "drink", "--out", "photos/out", "--json") == 0
+        assert len(capsys.readouterr().out.splitlines()) == 3
+
+
+def test_an_instruction_may_be_longer_than_a_file_name(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("photos/mug.png", "drink from the mug, " * 30) == 0
+
+
+def test_an_out_folder_may_look_like_markup(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("photos", "drink", "--out", "o[/]x") == 0
+    assert "answers in o[/]x/" in capsys.readouterr().err
+
+
+def test_an_answer_that_cannot_be_written_points_to_no_file(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("out").mkdir()
+    Path("out/mug").touch()
+    assert run("photos/mug.png", "drink") == 1
+    said = capsys.readouterr().out
+    assert "cannot write" in said
+    assert "overlay.png" not in said
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only there a file name may be any bytes")
+@pytest.mark.parametrize("options", [[], ["--json"]])
+def test_names_and_words_that_the_terminal_cannot_show(tmp_path: Path, options: list[str]) -> None:
+    name = os.fsdecode(b"caf\xe9.png")
+    Image.new("RGB", (64, 48)).save(tmp_path / name, "PNG")
+    arguments = [sys.executable, "-c", SLOW, "predict", name, "\u559d", *options]
+    environ = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(arguments, cwd=tmp_path, env=environ, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    if options:
+        assert json.loads(done.stdout)["image"] == name
+        assert json.loads(done.stdout)["instruction"] == "\u559d"
+
+
 def test_globs_and_folders_and_files_mix() -> None:
     images, instruction = split_arguments(["photos/left", "photos/*.png", "photos/mug.png", "drink it"])
     assert [path.as_posix() for path in images] == ["photos/left/mug.png", "photos/cup.v2.png", "photos/mug.png"]
@@ -134,6 +173,12 @@ def test_names_are_short_unique_and_whole() -> None:
     assert len({name.lower() for name in names}) == len(paths)
     assert names["pan.jpg"] == Path("pan.jpg")
     assert names["b_mug.png"] == Path("b/mug.png")
+
+
+def test_a_number_never_takes_a_name_that_is_taken() -> None:
+    paths = [Path(p) for p in ("a/x/m.png", "b/x/m.png", "00001_m.png.png")]
+    names = name_samples(paths)
+    assert list(names.values()) == paths
 
 
 SLOW = """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import sys
 from typing import Annotated, Any
 
@@ -76,6 +77,9 @@ def _placeholder() -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Run `a4`. Exit codes: 0 ok, 1 some samples failed, 2 usage, 130 interrupted."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    for stream in (sys.stdout, sys.stderr):  # a name or an answer that the terminal cannot show is no reason to stop
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     name = next((argument for argument in arguments if not argument.startswith("-")), None)
     try:
         build(name)(args=arguments)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import glob
+import itertools
 import json
-from collections import Counter
+import os
+from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -59,46 +61,52 @@ def split_arguments(arguments: list[str]) -> tuple[list[Path], str]:
             f"an image and an instruction are needed, and there is only {instruction!r};"
             " for instance: a4 predict mug.jpg 'drink from the mug'"
         )
-    if not instruction.strip() or Path(instruction).exists():
+    if not instruction.strip() or os.path.exists(instruction):
         raise InputError(
             f"the last argument is the instruction, not {instruction!r};"
             " put it in quotes at the end: a4 predict mug.jpg 'drink from the mug'"
         )
     images: list[Path] = []
     for source in sources:
-        path = Path(source)
-        if path.is_dir():
-            found = find_images(path)
+        if os.path.isdir(source):
+            found = find_images(Path(source))
             if not found:
                 raise InputError(f"no images in the folder {source!r}")
             images += found
-        elif not path.exists() and glob.has_magic(source):
-            found = sorted(Path(name) for name in glob.glob(source, recursive=True) if Path(name).is_file())
+        elif not os.path.exists(source) and glob.has_magic(source):
+            found = sorted(Path(name) for name in glob.glob(source, recursive=True) if os.path.isfile(name))
             if not found:
                 raise InputError(f"nothing matches {source!r}")
             images += found
         else:
-            images.append(path)
+            images.append(Path(source))
     return list(dict.fromkeys(images)), instruction
 
 
 def name_samples(images: list[Path]) -> dict[str, Path]:
     """A name for each image, as short as is unique: mug, mug.jpg, left_mug.jpg, or with a number."""
-    names: dict[str, Path] = {}
-    left = images
-    for name_of in (
+    taken: set[str] = set()
+    name_of: dict[Path, str] = {}
+    for form in (
         lambda path: path.stem,
         lambda path: path.name,
         lambda path: f"{path.resolve().parent.name}_{path.name}",
     ):
-        counts = Counter(name_of(path).lower() for path in left)
-        alone = [p for p in left if counts[name_of(p).lower()] == 1 and name_of(p).lower() not in map(str.lower, names)]
-        names.update({name_of(path): path for path in alone})
-        left = [path for path in left if path not in alone]
-    for number, path in enumerate(left, 1):
-        names[f"{number:05d}_{path.name}"] = path
-    order = {path: place for place, path in enumerate(images)}
-    return dict(sorted(names.items(), key=lambda item: order[item[1]]))
+        alike: defaultdict[str, list[Path]] = defaultdict(list)
+        for path in images:
+            if path not in name_of:
+                alike[form(path).lower()].append(path)
+        for name, (first, *others) in alike.items():
+            if not others and name not in taken:
+                name_of[first] = form(first)
+                taken.add(name)
+    numbers = itertools.count(1)
+    for path in images:
+        while path not in name_of:
+            name = f"{next(numbers):05d}_{path.name}"
+            if name.lower() not in taken:
+                name_of[path] = name
+    return {name_of[path]: path for path in images}
 
 
 def _run(settings: Settings, samples: dict[str, Path], instruction: str, out: Path, as_json: bool) -> int:
@@ -113,29 +121,47 @@ def _run(settings: Settings, samples: dict[str, Path], instruction: str, out: Pa
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with (
         common.build_agent(settings) as agent,
-        Progress(*columns, console=messages, transient=True, disable=len(samples) == 1) as progress,
+        Progress(
+            *columns, console=messages, transient=True, disable=len(samples) == 1 or not messages.is_terminal
+        ) as progress,
     ):
         task = progress.add_task("predicting", total=len(samples))
         for query, affordance in engine.run(agent, queries, settings=settings.engine):
             folder = out / query.id
+            saved = True
             try:
                 affordance.save(folder)
             except InputError as error:
-                affordance = replace(affordance, status="error", error=str(error))
+                saved, affordance = False, replace(affordance, status="error", error=str(error))
             failed += affordance.status in ("error", "invalid")
             if as_json:
                 line = {"image": str(query.image), "out": str(folder), **affordance.to_dict()}
-                print(json.dumps(line, ensure_ascii=False), flush=True)
+                print(json.dumps(line), flush=True)
+            elif len(samples) == 1:
+                _tell(affordance, folder if saved else None)
             else:
-                _tell(affordance, Path(str(query.image)), folder, alone=len(samples) == 1)
+                _tell_in_short(affordance, Path(str(query.image)))
             progress.advance(task)
     if len(samples) > 1:
-        messages.print(f"{len(samples) - failed} of {len(samples)} done, {failed} failed; answers in {out}/")
+        done = len(samples) - failed
+        messages.print(f"{done} of {len(samples)} done, {failed} failed; answers in {out}/", markup=False)
     return failed
 
 
-def _tell(affordance: Affordance, image: Path, folder: Path, *, alone: bool) -> None:
-    """The answer in words: one line of many, or all of a single one."""
+def _tell_in_short(affordance: Affordance, image: Path) -> None:
+    """One answer of many, in a line."""
+    from rich.console import Console
+    from rich.text import Text
+
+    from a4agent.overlay import caption_of
+
+    status = (f"{affordance.status:8}", "green" if affordance.status == "ok" else "red")
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(Text.assemble(status, f"{image}: {caption_of(affordance)}"))
+
+
+def _tell(affordance: Affordance, folder: Path | None) -> None:
+    """All of an answer in words; `folder` is where its files lie, None if they could not be written."""
     from rich.console import Console
     from rich.text import Text
 
@@ -143,11 +169,6 @@ def _tell(affordance: Affordance, image: Path, folder: Path, *, alone: bool) -> 
 
     console = Console(highlight=False, soft_wrap=True)
     good = affordance.status == "ok"
-    if not alone:
-        console.print(
-            Text.assemble((f"{affordance.status:8}", "green" if good else "red"), f"{image}: {caption_of(affordance)}")
-        )
-        return
     rows: list[tuple[str, str]] = [("part" if good else "answer", caption_of(affordance))]
     if affordance.target and affordance.target.thinking:
         rows.append(("thinking", affordance.target.thinking))
@@ -160,10 +181,8 @@ def _tell(affordance: Affordance, image: Path, folder: Path, *, alone: bool) -> 
         rows.append(("mask", f"{int(affordance.mask.sum())} pixels, {share:.1%} of the image"))
     cost = f", ${affordance.trace.cost:.4f}" if affordance.trace.cost else ""
     rows.append(("took", f"{affordance.trace.seconds:.2f} s in {len(affordance.trace.steps)} model calls{cost}"))
-    rows.append(("overlay" if affordance.image is not None else "file", str(_shown(affordance, folder))))
+    if folder is not None:
+        name, file = ("file", "affordance.json") if affordance.image is None else ("overlay", "overlay.png")
+        rows.append((name, str(folder / file)))
     for name, value in rows:
         console.print(Text.assemble((f"{name:>9}  ", "bold cyan"), (value, "" if name != "answer" else "red")))
-
-
-def _shown(affordance: Affordance, folder: Path) -> Path:
-    return folder / ("overlay.png" if affordance.image is not None else "affordance.json")
