@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from a4agent.errors import MissingExtraError
+from a4agent.errors import DataError, MissingExtraError
 from a4agent.sim.assets import asset_path, check_installed, install_command
 from a4agent.sim.things import Catalogue, Package, built_in
 
@@ -39,6 +39,11 @@ def test_what_is_missing_is_named_with_its_command() -> None:
 def test_another_version_without_the_file_says_which_has_it(catalogue: Catalogue) -> None:
     with pytest.raises(MissingExtraError, match=r"metaworld 3\.\S+ has no 'gone\.xml'; version 9\.9 has"):
         asset_path(_with("metaworld", version="9.9"), "metaworld", "gone.xml")
+
+
+def test_a_file_that_the_declared_version_does_not_have_is_a_wrong_declaration(catalogue: Catalogue) -> None:
+    with pytest.raises(DataError, match=r"has no 'gone\.xml' in its folder 'metaworld/assets'"):
+        asset_path(_with("metaworld"), "metaworld", "gone.xml")
 
 
 def test_one_command_installs_all() -> None:

@@ -127,6 +127,12 @@ def test_a_larger_set_begins_like_a_smaller_one(catalogue: Catalogue) -> None:
     assert list(plan_set(catalogue, 50, 2, "test"))[:10] == list(plan_set(catalogue, 10, 2, "test"))
 
 
+def test_files_are_named_after_any_thing(catalogue: Catalogue) -> None:
+    thing = catalogue.thing("drawer")
+    for name, stem in (("box lid", "0007-box-lid"), ("../a/b: Tür", "0007--a-b-Tür")):
+        assert Plan(0, 7, thing.model_copy(update={"name": name}), thing.tasks[0]).stem == stem
+
+
 def test_an_empty_split_is_refused(catalogue: Catalogue) -> None:
     only_dev = catalogue.model_copy(update={"things": catalogue.split("dev")})
     with pytest.raises(ConfigError, match="no thing is declared for the split 'test'"):

@@ -88,6 +88,8 @@ def test_a_few_lines_declare_a_thing(tmp_path: Path) -> None:
     ("old", "new", "says"),
     [
         ("root =", "roots =", "thing.0.roots: Extra inputs"),
+        ("root =", "elevation = [60, 10]\nroot =", "thing.0.elevation: Value error, a range goes from low to high"),
+        ("root =", "joints = { goal_slidey = [0.0, -0.1] }\nroot =", "thing.0.joints.goal_slidey: Value error"),
         (
             'part = "handle", affordance = "pull" }',
             'part = "knob", affordance = "pull" }',

@@ -13,7 +13,9 @@ from a4agent.cli import common
 
 def make(
     benchmark: Annotated[Literal["sim"], typer.Argument(metavar="BENCHMARK", help="sim: scenes from simulators.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="The folder to write; new, empty, or of a set that was broken off.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="The folder to write; new, empty, or of a broken-off set.")
+    ],
     n: Annotated[int, typer.Option("--n", min=1, help="How many samples.")] = 200,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same files.")] = 0,
     split: Annotated[
@@ -30,7 +32,7 @@ def make(
 
     from a4agent.sim.make import make_set
 
-    with Progress(console=common.messages, transient=True) as progress:
+    with Progress(console=common.messages, transient=True, disable=not common.messages.is_terminal) as progress:
         task = progress.add_task("rendering", total=n)
         folder = make_set(
             out,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import metadata
 from pathlib import Path
 
-from a4agent.errors import MissingExtraError
+from a4agent.errors import DataError, MissingExtraError
 from a4agent.sim.things import Catalogue
 
 
@@ -41,6 +41,7 @@ def asset_path(catalogue: Catalogue, package: str, file: str) -> Path:
 
     Raises:
         MissingExtraError: the package is not installed, or another version without this file is.
+        DataError: the version that is declared has no such file.
     """
     try:
         distribution = metadata.distribution(package)
@@ -49,9 +50,12 @@ def asset_path(catalogue: Catalogue, package: str, file: str) -> Path:
             f"the simulator assets of {package!r} are not installed: {install_command(catalogue)}"
         ) from error
     path = Path(str(distribution.locate_file(f"{catalogue.packages[package].folder}/{file}")))
+    declared = catalogue.packages[package].version
+    if not path.is_file() and distribution.version == declared:
+        folder = catalogue.packages[package].folder
+        raise DataError(f"{package} {declared} has no {file!r} in its folder {folder!r}; correct the declaration")
     if not path.is_file():
         raise MissingExtraError(
-            f"{package} {distribution.version} has no {file!r}; "
-            f"version {catalogue.packages[package].version} has: {install_command(catalogue)}"
+            f"{package} {distribution.version} has no {file!r}; version {declared} has: {install_command(catalogue)}"
         )
     return path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -34,7 +35,8 @@ class Plan:
 
     @property
     def stem(self) -> str:
-        return f"{self.index:04d}-{self.thing.name.replace(' ', '-')}"
+        name = re.sub(r"[^\w-]+", "-", self.thing.name)
+        return f"{self.index:04d}-{name}"
 
 
 @dataclass(frozen=True)

@@ -22,15 +22,23 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from a4agent.data_files import toml
 from a4agent.errors import DataError, UnknownNameError
 
 Split = Literal["dev", "test"]
 Use = Literal["table", "wall", "floor"]
-Range = tuple[float, float]
 USES: tuple[Use, ...] = ("table", "wall", "floor")
+
+
+def _low_to_high(limits: tuple[float, float]) -> tuple[float, float]:
+    if not limits[0] <= limits[1]:
+        raise ValueError(f"a range goes from low to high, not from {limits[0]:g} to {limits[1]:g}")
+    return limits
+
+
+Range = Annotated[tuple[float, float], AfterValidator(_low_to_high)]
 
 
 class Declared(BaseModel):
