@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -79,7 +80,14 @@ def test_cached_steps_cost_nothing() -> None:
     assert Trace((spent, saved)).cost == 0.25
 
 
-@pytest.mark.parametrize("data", [{}, {"schema": 99}, {"schema": 1}, {"schema": 1, "size_wh": "ab"}])
-def test_what_is_not_an_affordance_is_refused(data: dict[str, object]) -> None:
+@pytest.mark.parametrize("data", [{}, {"schema": 99}, {"schema": 1}, {"schema": 1, "size_wh": "ab"}, [], None])
+def test_what_is_not_an_affordance_is_refused(data: Any) -> None:
     with pytest.raises(DataError):
         Affordance.from_dict(data)
+
+
+def test_masks_of_another_size_than_the_image_are_refused() -> None:
+    region = Region(None, np.zeros((0, 2), np.float32), np.ones((7, 5), bool))
+    data = Affordance("x", (5, 7), regions=(region,)).to_dict()
+    with pytest.raises(DataError, match="7 x 6"):
+        Affordance.from_dict({**data, "size_wh": [6, 7]})

@@ -73,9 +73,10 @@ def test_a_name_that_is_not_unicode_is_saved_and_read_back(tmp_path: Path) -> No
 def test_reading_what_is_not_there_or_not_an_answer(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"affordance\.json"):
         load(tmp_path)
-    (tmp_path / "affordance.json").write_text('{"schema": 2}')
-    with pytest.raises(DataError):
-        load(tmp_path)
+    for text in (b'{"schema": 2}', b"[]", b"{", b"\xff"):
+        (tmp_path / "affordance.json").write_bytes(text)
+        with pytest.raises(DataError, match=r"affordance\.json"):
+            load(tmp_path)
 
 
 def test_masks_are_the_size_of_the_image(tmp_path: Path) -> None:

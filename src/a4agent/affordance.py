@@ -210,17 +210,22 @@ class Affordance:
         Raises:
             DataError: the value was not written by `to_dict`, or by a newer version of it.
         """
+        if not isinstance(cast(Any, data), Mapping):
+            raise DataError(f"an affordance is a JSON object, not {type(data).__name__}")
         if data.get("schema") != SCHEMA:
             raise DataError(f"an affordance of schema {data.get('schema')!r}; this version reads {SCHEMA}")
         try:
             width, height = data["size_wh"]
+            regions = tuple(_region(row) for row in data["regions"])
+            if any(region.mask.shape != (height, width) for region in regions):
+                raise ValueError(f"a mask that is not {height} x {width}")
             imagined = data["imagination"]
             return cls(
                 instruction=data["instruction"],
                 size_wh=(int(width), int(height)),
                 imagination=Imagination(imagined["prompt"], None) if imagined else None,
                 target=Target(**data["target"]) if data["target"] else None,
-                regions=tuple(_region(row) for row in data["regions"]),
+                regions=regions,
                 status=data["status"],
                 error=data["error"],
                 trace=Trace(tuple(Step(**step) for step in data["trace"])),

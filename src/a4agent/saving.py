@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from a4agent.affordance import Affordance
-from a4agent.errors import InputError
+from a4agent.errors import DataError, InputError
 from a4agent.folders import replace_file
 
 if TYPE_CHECKING:
@@ -76,6 +76,8 @@ def load(folder: Path) -> Affordance:
         return Affordance.from_dict(json.loads(path.read_text(encoding="utf-8")))
     except OSError as error:
         raise InputError(f"{str(path)!r} cannot be read: {error}") from error
+    except (ValueError, DataError) as error:
+        raise DataError(f"{str(path)!r} is not a saved answer: {error}") from error
 
 
 def make_folder(folder: Path) -> None:
