@@ -42,7 +42,15 @@ def test_the_digest_of_a_folder_follows_its_weights_and_settings_and_not_its_pla
     third = find_checkpoint(str(tmp_path / "b"))
     assert third.revision != second.revision
     (tmp_path / "b" / "config.json").write_text(json.dumps({"model_type": "sam2", "x": 1}))
-    assert find_checkpoint(str(tmp_path / "b")).revision != third.revision
+    fourth = find_checkpoint(str(tmp_path / "b"))
+    assert fourth.revision != third.revision
+    (tmp_path / "b" / "chat_template.jinja").write_text("{{ messages }}")
+    assert find_checkpoint(str(tmp_path / "b")).revision != fourth.revision
+    vocabulary = json.dumps({f"word{k}": k for k in range(50_000)})
+    for found in (vocabulary, vocabulary.replace("word7777", "word777x")):
+        (tmp_path / "b" / "vocab.json").write_text(found)
+        fourth, fifth = find_checkpoint(str(tmp_path / "b")), fourth
+    assert fourth.revision != fifth.revision
 
 
 def test_another_architecture_is_named(tmp_path):

@@ -27,6 +27,10 @@ def test_by_hand(values: list[float], system: CoordinateSystem, pixels: list[flo
     np.testing.assert_allclose(to_pixels(values, system, SIZE), pixels)
 
 
+def test_whole_numbers_that_end_between_two_pixels_do_so_exactly() -> None:
+    assert to_pixels([564, 420], resized(840, 840), (35, 27)).tolist() == [23.5, 13.5]
+
+
 @given(st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1)), max_size=5), st.integers(1, 9000), st.integers(1, 9000))
 def test_every_system_says_the_same(unit: list[tuple[float, float]], width: int, height: int) -> None:
     values = np.array(unit).reshape(-1, 2)

@@ -42,6 +42,8 @@ def test_importing_the_experts_imports_no_framework():
 class Counter(LocalExpert):
     """Answers with the number of requests in the batch; more than `fits` of them do not fit."""
 
+    shrinking = ("quantisation = '4bit'",)
+
     def __init__(self, checkpoint, fits=8, error=None, **options):
         super().__init__("test:counter", checkpoint, Placement("cpu", "float32"), settings={}, **options)
         self.fits, self.error, self.batches = fits, error, []
@@ -112,10 +114,19 @@ def test_another_failure_is_the_models(checkpoint):
 def test_weights_that_do_not_fit_say_what_they_need_and_what_is_free(tiny_sam2, noise, monkeypatch):
     monkeypatch.setattr(local_models, "free_bytes", lambda device: 1000)
     segmenter = sam2.create(str(tiny_sam2), "segmenter")
-    with pytest.raises(ResourceError, match=r"need 0\.0 GB as float32 and 0\.0 GB are free on 'cpu'.*4bit"):
+    wanted = r"need 0\.0 GB as float32 and 0\.0 GB are free on 'cpu': choose a smaller model or another device"
+    with pytest.raises(ResourceError, match=wanted):
         segmenter.load()
     monkeypatch.setattr(local_models, "free_bytes", lambda device: 10**9)
     segmenter.load()
+
+
+def test_only_settings_that_an_expert_has_are_advised(tiny_qwen_vl, monkeypatch):
+    from a4agent.experts import transformers_vlm
+
+    monkeypatch.setattr(local_models, "free_bytes", lambda device: 1000)
+    with pytest.raises(ResourceError, match="a smaller model, quantisation = '4bit' or another device"):
+        transformers_vlm.create(str(tiny_qwen_vl), "vlm").load()
 
 
 def test_the_need_counts_parameters_and_bytes(checkpoint, monkeypatch):
@@ -197,3 +208,10 @@ def test_attention_that_is_not_installed_is_a_setting_to_change(tiny_qwen_vl):
     expert = transformers_vlm.create(str(tiny_qwen_vl), "vlm", attention="flash_attention_2")
     with pytest.raises((ConfigError, ModelFilesError), match=r"flash"):
         expert.load()
+
+
+def test_attention_that_nobody_knows_is_a_setting_to_change(tiny_qwen_vl):
+    from a4agent.experts import transformers_vlm
+
+    with pytest.raises(ConfigError, match="attention 'fast' cannot be used"):
+        transformers_vlm.create(str(tiny_qwen_vl), "vlm", attention="fast").load()

@@ -101,6 +101,17 @@ def test_a_lora_changes_the_picture(tiny_qwen_image_edit, lora_file, editor, noi
     assert (edit(with_lora, noise(96, 64)) != edit(editor, noise(96, 64))).any()
 
 
+def test_a_lora_that_was_trained_on_has_another_fingerprint(tiny_qwen_image_edit, lora_file, tmp_path):
+    lora = tmp_path / "lora.safetensors"
+
+    def fingerprint(data):
+        lora.write_bytes(data)
+        return qwen_image_edit.create(str(tiny_qwen_image_edit), "editor", lora=str(lora), **SMALL).fingerprint()
+
+    data = lora_file.read_bytes()
+    assert fingerprint(data) == fingerprint(data) != fingerprint(data[:-1] + b"\x01")
+
+
 @pytest.fixture(scope="module")
 def lora_file(tiny_qwen_image_edit, tmp_path_factory):
     """A LoRA for the tiny transformer, saved by the pipeline's own method."""

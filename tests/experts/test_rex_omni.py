@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from a4agent.errors import ModelFilesError, TruncatedAnswer
+from a4agent.errors import ConfigError, ModelFilesError, TruncatedAnswer
 from a4agent.experts import rex_omni
 from a4agent.experts.base import DetectRequest
 
@@ -64,6 +64,12 @@ def test_the_authors_settings(detector):
     assert detector._model.processor.image_processor.size["longest_edge"] == 2560 * 28 * 28
     assert detector.fingerprint()["settings"]["max_new_tokens"] == 64
     assert rex_omni.create(str(detector.checkpoint.folder), "detector").settings["max_new_tokens"] == 4096
+
+
+@pytest.mark.parametrize("settings", [{"max_new_tokens": 0}, {"max_pixels": 100}])
+def test_settings_that_do_not_fit_are_answered(settings):
+    with pytest.raises(ConfigError, match="max_pixels at least 12544"):
+        rex_omni.create("IDEA-Research/Rex-Omni", "detector", **settings)
 
 
 def test_another_model_is_refused(tiny_qwen_vl, tiny_sam2):

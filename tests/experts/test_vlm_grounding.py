@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from PIL import Image
 from a4agent.errors import ConfigError, ProviderUnavailable, TruncatedAnswer, UnknownNameError, UnreadableAnswer
 from a4agent.experts import registry
 from a4agent.experts.base import ChatAnswer, Detection, DetectRequest, ExpertBase, Usage
-from a4agent.experts.vlm_grounding import create, dialects, smart_resize
+from a4agent.experts.vlm_grounding import VlmDetector, create, dialects, smart_resize
 from servers import chat, error
 
 PHOTO = Image.new("RGB", (640, 480), "white")
@@ -205,6 +206,12 @@ def test_the_fingerprint_holds_the_vlms():
     assert one.fingerprint() != two.fingerprint()
 
 
+def test_the_fingerprint_holds_the_whole_dialect():
+    known = dialects()["qwen3-vl"]
+    one, two = (VlmDetector(replace(known, resize=rule), Scripted(), 9) for rule in ("none", "square 840"))
+    assert one.fingerprint() != two.fingerprint()
+
+
 def test_over_the_wire_the_image_arrives_in_the_declared_size(openai_server):
     openai_server.replies(error(503, "busy"), chat(R1))
     vlm = {"expert": "openai:hqking/affordance-r1", "base_url": openai_server.url, "max_retries": 0}
@@ -227,6 +234,8 @@ def test_only_the_dialect_that_explains_json_sends_a_schema():
 def test_bad_names_and_missing_vlms_are_answered():
     with pytest.raises(UnknownNameError, match="affordance-r1"):
         create("affordance-r2", "detector", vlm=Scripted())
+    with pytest.raises(UnknownNameError, match="affordance-r1"):
+        registry.inner_experts("vlm-grounding:affordance-r2", {})
     with pytest.raises(ConfigError, match="say which"):
         create("thousandths", "detector")
     with pytest.raises(ConfigError, match="detector"):

@@ -24,6 +24,8 @@ from a4agent.experts.intact import missing_files
 
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
 _BLOCK, _BLOCKS = 4096, 16
+_WEIGHTS = (".safetensors", ".bin")
+_READ = (*_WEIGHTS, ".json", ".txt", ".jinja", ".model")
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ def find_checkpoint(model: str, *, kinds: Sequence[str] = (), revision: str | No
         raise ModelFilesError(
             f"{model!r} is not complete: {missing[0]}{more}, in {str(folder)!r}; fetch its files again"
         )
-    return Checkpoint(folder, commit or _digest(folder), kind)
+    return Checkpoint(folder, commit or digest_of(folder), kind)
 
 
 def weight_files(folder: Path) -> list[Path]:
@@ -121,14 +123,15 @@ def _kind(model: str, folder: Path) -> str:
     raise ModelFilesError(f"{model!r} is not a checkpoint: there is no config.json or model_index.json in it")
 
 
-def _digest(folder: Path) -> str:
-    """A digest of a user's folder: all its settings, and samples of its weights (milliseconds for any size)."""
+def digest_of(path: Path) -> str:
+    """A digest of a user's folder or file: all its settings, and samples of its weights (milliseconds for any size)."""
     digest = hashlib.sha256()
-    for file in sorted(path for path in folder.rglob("*") if path.suffix in (".json", ".safetensors", ".txt", ".bin")):
+    files = sorted(file for file in path.rglob("*") if file.suffix in _READ) if path.is_dir() else [path]
+    for file in files:
         size = file.stat().st_size
-        digest.update(f"{file.relative_to(folder).as_posix()} {size}\n".encode())
+        digest.update(f"{file.relative_to(path).as_posix()} {size}\n".encode())
         with file.open("rb") as stream:
-            if size <= _BLOCK * _BLOCKS * 4:
+            if file.suffix not in _WEIGHTS or size <= _BLOCK * _BLOCKS * 4:
                 digest.update(stream.read())
                 continue
             for k in range(_BLOCKS):

@@ -54,4 +54,4 @@ def to_pixels(values: np.ndarray | Sequence[object], system: CoordinateSystem, s
     if system.width is None or system.height is None:
         return array
     edge = np.tile([system.width, system.height], array.shape[-1] // 2)
-    return array / edge * np.tile(size_wh, array.shape[-1] // 2)
+    return array * np.tile(size_wh, array.shape[-1] // 2) / edge  # in this order halves of whole numbers are exact

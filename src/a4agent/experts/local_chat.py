@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from a4agent.errors import ModelFilesError, require
 from a4agent.experts.checkpoints import Checkpoint
-from a4agent.experts.local_models import Placement, load_pretrained
+from a4agent.experts.local_models import QUANTISE, Placement, load_pretrained
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -55,7 +55,8 @@ class ChatModel:
         """
         transformers: Any = require("transformers", extra="local")
         processor = processor or load_processor(checkpoint.folder)
-        return cls(load_pretrained(transformers.AutoModelForImageTextToText, checkpoint, placement), processor)
+        auto = transformers.AutoModelForImageTextToText
+        return cls(load_pretrained(auto, checkpoint, placement, shrinking=(QUANTISE,)), processor)
 
     def generate(
         self, turns: Sequence[Turn], max_new_tokens: Sequence[int], sampling: Mapping[str, Any] | None = None

@@ -16,7 +16,7 @@ from collections.abc import Callable, Generator, Hashable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from a4agent.errors import (
     A4Error,
@@ -34,6 +34,7 @@ from a4agent.experts.checkpoints import Checkpoint, parameter_count
 DTYPES = ("auto", "bfloat16", "float16", "float32")
 QUANTISATIONS = ("none", "8bit", "4bit")
 SPREAD = "spread"
+QUANTISE = "quantisation = '4bit'"
 _BYTES = {"float32": 4.0, "bfloat16": 2.0, "float16": 2.0, "8bit": 1.1, "4bit": 0.6}
 _TOLERATED_MISSING = 0.1
 
@@ -115,8 +116,14 @@ def free_bytes(device: str) -> int:
     return on_cpu  # on mps the memory is shared
 
 
-def check_fits(folder: Path, placement: Placement, *, largest_part: float = 1.0) -> None:
-    """Compare what a checkpoint's weights need with what is free. `largest_part`: the share that is there at once.
+def check_fits(folder: Path, placement: Placement, *, largest_part: float = 1.0, shrinking: Sequence[str] = ()) -> None:
+    """Compare what a checkpoint's weights need with what is free.
+
+    Args:
+        folder: the checkpoint.
+        placement: where it is to go.
+        largest_part: the share of the weights that is there at once.
+        shrinking: the expert's settings with which it needs less, to be named where it does not fit.
 
     Raises:
         ResourceError: they do not fit.
@@ -128,24 +135,27 @@ def check_fits(folder: Path, placement: Placement, *, largest_part: float = 1.0)
     free = free_bytes(placement.device)
     if needed <= free:
         return
-    smaller = f" (about {_gb(count * largest_part * _BYTES['4bit'])} GB)" if placement.quantisation != "4bit" else ""
+    settings = [way for way in shrinking if way != QUANTISE or placement.quantisation == "none"]
+    ways = ["a smaller model", *settings, "another device"]
     raise ResourceError(
         f"the weights of {str(folder)!r} need {_gb(needed)} GB as {placement.dtype}"
         f"{'' if placement.quantisation == 'none' else ' in ' + placement.quantisation} and {_gb(free)} GB are free "
-        f"on {placement.device!r}: choose a smaller model, quantisation = '4bit'{smaller}, or another device"
+        f"on {placement.device!r}: choose {', '.join(ways[:-1])} or {ways[-1]}"
     )
 
 
-def load_pretrained(cls: Any, checkpoint: Checkpoint, placement: Placement, **options: Any) -> Any:
+def load_pretrained(cls: Any, checkpoint: Checkpoint, placement: Placement, shrinking: Sequence[str] = ()) -> Any:
     """`cls.from_pretrained` of a checkpoint's folder, on its device and ready to answer.
+
+    `shrinking` names the expert's settings with which it needs less memory.
 
     Raises:
         ResourceError: the weights do not fit the device.
         ModelFilesError: the files are damaged or belong to another architecture.
         ConfigError: the attention or quantisation asked for is not available.
     """
-    check_fits(checkpoint.folder, placement)
-    options = {**_from_pretrained_options(placement), **options}
+    check_fits(checkpoint.folder, placement, shrinking=shrinking)
+    options = _from_pretrained_options(placement)
     try:
         with _quiet_transformers():
             model, found = cls.from_pretrained(
@@ -156,7 +166,7 @@ def load_pretrained(cls: Any, checkpoint: Checkpoint, placement: Placement, **op
     except Exception as error:
         if is_out_of_memory(error):
             raise ResourceError(f"{str(checkpoint.folder)!r} does not fit {placement.device!r}: {error}") from error
-        if isinstance(error, ImportError):
+        if isinstance(error, ImportError) or "attn_implementation" in str(error):
             raise ConfigError(f"attention {placement.attention!r} cannot be used: {error}") from error
         raise ModelFilesError(f"{str(checkpoint.folder)!r} cannot be loaded as {cls.__name__}: {error}") from error
     _check_nothing_invented(checkpoint, model, found)
@@ -227,8 +237,11 @@ class LocalExpert(ExpertBase):
     """An expert whose weights live in this process.
 
     Its files are found when it is made (what is missing is known at once), its weights loaded at the first
-    request or `load()`. A subclass sets its models up in `_load` and drops them in `_unload`.
+    request or `load()`. A subclass sets its models up in `_load` and drops them in `_unload`; `shrinking` are its
+    settings with which it needs less memory.
     """
+
+    shrinking: ClassVar[tuple[str, ...]] = ()
 
     def __init__(
         self, id: str, checkpoint: Checkpoint, placement: Placement, *, settings: Mapping[str, Any], max_batch: int = 1
@@ -318,8 +331,8 @@ class LocalExpert(ExpertBase):
             return None
         return [
             OutOfMemory(
-                f"{self.id} ran out of memory on one request ({reason}): use a smaller image, quantisation = '4bit', "
-                "or a device with more memory"
+                f"{self.id} ran out of memory on one request ({reason}): use "
+                f"{', '.join(['a smaller image', *self.shrinking])} or a device with more memory"
             )
         ]
 

@@ -16,9 +16,10 @@ from typing import Any
 
 from a4agent.errors import A4Error, ConfigError, ModelFilesError, ResourceError, UnknownNameError, require
 from a4agent.experts.base import EditAnswer, EditRequest, Role
-from a4agent.experts.checkpoints import Checkpoint, find_checkpoint, find_file, parameter_count
+from a4agent.experts.checkpoints import Checkpoint, digest_of, find_checkpoint, find_file, parameter_count
 from a4agent.experts.local_chat import load_processor
 from a4agent.experts.local_models import (
+    QUANTISE,
     SPREAD,
     LocalExpert,
     Placement,
@@ -107,15 +108,17 @@ def create(
         if model not in LIGHTNING_LORAS:
             raise ConfigError(f"there is no Lightning LoRA known for {model!r}: name its file with the setting lora")
         lora = LIGHTNING_LORAS[model].format(steps=lightning)
+    lora_file = find_file(lora) if lora else None
     return QwenImageEdit(
         f"qwen-image-edit:{model}",
         checkpoint,
         placement,
         offload=offload,
-        lora=str(find_file(lora)) if lora else None,
+        lora=str(lora_file) if lora_file else None,
         settings={
             "lightning": lightning,
             "lora": lora,
+            "lora_digest": digest_of(lora_file) if lora_file else None,
             "steps": steps or lightning or STEPS,
             "true_cfg_scale": (1.0 if lightning else TRUE_CFG_SCALE) if true_cfg_scale is None else true_cfg_scale,
             "negative_prompt": negative_prompt,
@@ -126,6 +129,8 @@ def create(
 
 class QwenImageEdit(LocalExpert):
     """Edits one picture at a time: the pipeline takes no batches of prompts."""
+
+    shrinking = ("offload = 'model'", QUANTISE)
 
     def __init__(
         self,
@@ -185,10 +190,11 @@ class QwenImageEdit(LocalExpert):
     def _check_fits(self) -> None:
         folder = self.checkpoint.folder
         if self._offload == "none":
-            check_fits(folder, self.placement)
+            check_fits(folder, self.placement, shrinking=self.shrinking)
         elif self._offload == "model":
             parts = [parameter_count(part) for part in folder.iterdir() if part.is_dir()]
-            check_fits(folder, self.placement, largest_part=max(parts) / sum(parts))
+            largest = max(parts) / sum(parts)
+            check_fits(folder, self.placement, largest_part=largest, shrinking=("offload = 'sequential'", QUANTISE))
 
     def _edit(self, requests: Sequence[EditRequest]) -> list[EditAnswer]:
         return [self._edit_one(request) for request in requests]

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from a4agent.errors import A4Error, TruncatedAnswer
+from a4agent.errors import A4Error, ConfigError, TruncatedAnswer
 from a4agent.experts.base import Detection, DetectRequest, Role
 from a4agent.experts.checkpoints import Checkpoint, find_checkpoint
 from a4agent.experts.local_chat import ChatModel, Generation, Turn
-from a4agent.experts.local_models import LocalExpert, Placement, Stopwatch, place
+from a4agent.experts.local_models import QUANTISE, LocalExpert, Placement, Stopwatch, place
 from a4agent.experts.rex_omni_answer import (
     MAX_NEW_TOKENS,
     MAX_PIXELS,
@@ -64,6 +64,11 @@ def create(
         ModelFilesError: no such checkpoint, or the hub cannot be reached.
         ConfigError: a setting has a value it does not take.
     """
+    if max_new_tokens < 1 or max_pixels < MIN_PIXELS:
+        raise ConfigError(
+            f"max_new_tokens is at least 1 and max_pixels at least {MIN_PIXELS}, "
+            f"not {max_new_tokens!r} and {max_pixels!r}"
+        )
     placement = place(device, dtype, attention, quantisation)
     checkpoint = find_checkpoint(model, kinds=("qwen2_5_vl",), revision=revision)
     return RexOmni(f"rex-omni:{model}", checkpoint, placement, max_batch, max_new_tokens, max_pixels)
@@ -71,6 +76,8 @@ def create(
 
 class RexOmni(LocalExpert):
     """Asks for boxes and for points at once, and reads the ids of the answers."""
+
+    shrinking = (QUANTISE,)
 
     def __init__(
         self,

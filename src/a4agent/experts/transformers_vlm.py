@@ -15,7 +15,7 @@ from a4agent.errors import A4Error, ConfigError
 from a4agent.experts.base import ChatAnswer, ChatRequest, Role
 from a4agent.experts.checkpoints import Checkpoint, find_checkpoint
 from a4agent.experts.local_chat import ChatModel, Turn
-from a4agent.experts.local_models import LocalExpert, Placement, Stopwatch, place
+from a4agent.experts.local_models import QUANTISE, LocalExpert, Placement, Stopwatch, place
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -63,6 +63,8 @@ def create(
 
 class TransformersVlm(LocalExpert):
     """Answers in batches, padded on the left, so that an answer is the same alone and among others."""
+
+    shrinking = (QUANTISE,)
 
     def __init__(
         self,

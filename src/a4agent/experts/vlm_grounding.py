@@ -156,25 +156,34 @@ def create(
         UnknownNameError: no such dialect.
         ConfigError: the dialect has no VLM of its own and none is given.
     """
-    known = dialects()
     if role != "detector":
         raise ConfigError(f"'vlm-grounding:{model}' is a detector and cannot be a {role}")
-    if model not in known:
-        raise UnknownNameError.of("dialect of 'vlm-grounding:'", model, known)
-    dialect = known[model]
+    dialect = _dialect(model)
     if max_tokens < 0:
         raise ConfigError(f"max_tokens is 0 (the dialect's own limit) or more, not {max_tokens!r}")
     return VlmDetector(dialect, _build(dialect, vlm), max_tokens or dialect.max_tokens)
 
 
 def inner_experts(model: str, settings: Mapping[str, Any]) -> dict[Role, tuple[str, dict[str, Any]]]:
-    """The VLM that a detector with these settings builds, as spec and settings; {} if it gets one that is built."""
+    """The VLM that a detector with these settings builds, as spec and settings; {} if it gets one that is built.
+
+    Raises:
+        UnknownNameError: no such dialect.
+    """
     vlm = settings.get("vlm", "")
     if not isinstance(vlm, (str, Mapping)):
         return {}
+    dialect = _dialect(model)
     own: dict[str, Any] = {"expert": vlm} if isinstance(vlm, str) else dict(cast("Mapping[str, Any]", vlm))
-    spec = str(own.pop("expert", "") or (dialects()[model].vlm if model in dialects() else ""))
+    spec = str(own.pop("expert", "") or dialect.vlm)
     return {"vlm": (spec, own)} if spec else {}
+
+
+def _dialect(name: str) -> Dialect:
+    known = dialects()
+    if name not in known:
+        raise UnknownNameError.of("dialect of 'vlm-grounding:'", name, known)
+    return known[name]
 
 
 def _build(dialect: Dialect, vlm: str | Mapping[str, Any] | VisionLanguageModel) -> VisionLanguageModel:
@@ -190,7 +199,7 @@ class VlmDetector(ExpertBase):
     """A Detector that asks a VLM in a dialect. Boxes and points come in the order of the answer, without scores."""
 
     def __init__(self, dialect: Dialect, vlm: VisionLanguageModel, max_tokens: int) -> None:
-        settings = {"question": dialect.question, "max_tokens": max_tokens, "vlm": dict(vlm.fingerprint())}
+        settings = {**vars(dialect), "max_tokens": max_tokens, "vlm": dict(vlm.fingerprint())}
         super().__init__(
             f"vlm-grounding:{dialect.name}",
             settings=settings,
