@@ -58,6 +58,11 @@ def test_nothing_above_the_threshold_is_an_empty_answer(tiny_mm_grounding_dino, 
     assert (found.boxes_xyxy.shape, found.points_xy.shape, found.scores.shape) == ((0, 4), (0, 2), (0,))
 
 
+def test_a_long_instruction_is_cut_and_not_an_error(detector, noise):
+    found = detector.detect([DetectRequest(noise(96, 64), "the handle of the mug " * 50)])[0]
+    assert found.boxes_xyxy.shape[1] == 4
+
+
 def test_captions_are_lower_case_with_one_full_stop():
     assert grounding_dino.as_caption(" The handle.  of the Mug. ") == "the handle of the mug."
 

@@ -86,6 +86,8 @@ class GroundingDino(OpenVocabularyDetector):
             images=[request.image for request in requests],
             text=[as_caption(request.phrase) for request in requests],
             padding=True,
+            truncation=True,
+            max_length=self._model.config.max_text_len,
             return_tensors="pt",
         )
 
