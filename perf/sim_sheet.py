@@ -9,6 +9,7 @@ the affordance and how much of the part is seen.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import textwrap
 from pathlib import Path
@@ -55,7 +56,7 @@ def drawn(root: Path, row: dict[str, Any], side: int) -> Image.Image:
         pixels = np.array(file)
     with Image.open(root / row["regions"]) as file:
         regions = np.array(file)
-    for number, colour in zip(row["region_numbers"], COLOURS, strict=False):
+    for number, colour in zip(row["region_numbers"], itertools.cycle(COLOURS), strict=False):
         region = regions == number
         pixels[binary_dilation(region, iterations=3) & ~region] = colour
     picture = Image.fromarray(pixels)

@@ -13,9 +13,7 @@ from a4agent.cli import common
 
 def make(
     benchmark: Annotated[Literal["sim"], typer.Argument(metavar="BENCHMARK", help="sim: scenes from simulators.")],
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="The folder to write; new, empty, or of a broken-off set.")
-    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The folder to write; new, empty, or of a broken-off set.")],
     n: Annotated[int, typer.Option("--n", min=1, help="How many samples.")] = 200,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same files.")] = 0,
     split: Annotated[
