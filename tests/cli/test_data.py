@@ -39,6 +39,7 @@ def test_what_is_missing_is_counted_named_and_ends_with_where_to_get_it(
     assert "1 images, 0 masks" in printed
     assert "00002-other.frame: image missing" in printed
     assert "CC-BY-NC-SA-4.0" in printed
+    assert "its authors' code: --protocol ragnet" in printed
     assert "NVlabs/HANDAL" in printed.splitlines()[-1]
 
 
@@ -70,8 +71,7 @@ def test_a_malicious_pickle_is_refused_without_a_traceback(tmp_path: Path, capsy
 def test_queries_hold_the_public_half_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = layouts.write_instructpart(tmp_path)
 
-    with pytest.raises(SystemExit):
-        main(["data", "queries", "instructpart", str(data), "--option", "instruction=2"])
+    assert a4("data", "queries", "instructpart", data, "--option", "instruction=2") == 0
 
     printed = capsys.readouterr().out
     rows = [json.loads(line) for line in printed.splitlines()]
@@ -79,6 +79,17 @@ def test_queries_hold_the_public_half_alone(tmp_path: Path, capsys: pytest.Captu
     assert rows[0]["instruction"] == "000001 question 2"
     assert Path(rows[0]["image"]).is_file()
     assert layouts.SECRET not in printed
+
+
+def test_a_question_that_no_terminal_can_show_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = layouts.write_folder(tmp_path)
+    rows = [json.loads(line) for line in (data / "samples.jsonl").read_text().splitlines()]
+    rows[0]["instruction"] = "open \ud800 it"
+    (data / "samples.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+    assert a4("data", "queries", "folder", data) == 0
+
+    assert json.loads(capsys.readouterr().out.splitlines()[0])["instruction"] == "open \ud800 it"
 
 
 def test_queries_write_pictures_that_lie_in_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

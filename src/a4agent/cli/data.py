@@ -85,7 +85,7 @@ def queries(
     for sample in opened(benchmark, path, rule, option):
         query = sample.query
         image = query.image if isinstance(query.image, Path) else _written(query.image, query.id, images)
-        print(json.dumps({"id": query.id, "image": str(image), "instruction": query.instruction}, ensure_ascii=False))
+        print(json.dumps({"id": query.id, "image": str(image), "instruction": query.instruction}))
 
 
 def _written(image: Any, identity: str, folder: Path | None) -> Path:
@@ -102,6 +102,8 @@ def _written(image: Any, identity: str, folder: Path | None) -> Path:
 def _show(data: Benchmark, found: Check) -> None:
     expected = f" of {found.expected} published" if found.expected else ""
     options = "".join(f", {name} {value}" for name, value in data.options.items())
+    theirs = data.published_protocol
+    protocol = data.protocol if theirs == data.protocol else f"{data.protocol}; its authors' code: --protocol {theirs}"
     lines = [
         ("benchmark", f"{data.name}{options}"),
         ("samples", f"{found.rows}{expected}, {found.readable} readable"),
@@ -111,6 +113,7 @@ def _show(data: Benchmark, found: Check) -> None:
         ("empty truth", f"{found.empty_truths} masks"),
         ("other size", f"{found.other_size} masks of another size than their image"),
         ("categories", ", ".join(f"{name or 'none'} {count}" for name, count in found.categories.items())),
+        ("protocol", protocol),
         ("licence", data.licence),
         ("source", data.source),
         ("fingerprint", data.digest),
