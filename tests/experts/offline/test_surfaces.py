@@ -41,6 +41,12 @@ def test_a_bare_board_is_what_there_is() -> None:
     assert len(innermost(picture((BOARD, (20, 24, 22))), BOARD)) == 1
 
 
+def test_a_reflection_on_a_tool_is_not_a_thing_on_a_board() -> None:
+    glint = polygon((150, 120), (158, 120), (158, 126), (150, 126))
+    assert 20 < glint.sum() < 0.006 * BOARD.sum()
+    assert len(innermost(picture((BOARD, (20, 24, 22)), (glint, (240, 240, 240))), BOARD)) == 1
+
+
 def test_what_hangs_on_the_edge_is_not_on_the_board() -> None:
     marker = polygon((40, 60), (75, 55), (80, 95), (45, 100))
     assert things_on(picture((BOARD, (20, 24, 22)), (marker, (240, 240, 240))), BOARD, strict=False) is None

@@ -18,22 +18,41 @@ import numpy as np
 from a4agent.errors import require
 from a4agent.experts.offline.colour import dominant
 
+BAR = 3.3
+"""The slimness from which on something is a bar."""
+
 
 @dataclass(frozen=True, eq=False)
 class Detail:
-    """`share` of the object's area, `elongation` of the box around it, `contrast` to the object's material."""
+    """`share` of the object's area, `elongation` of the box around it, `contrast` to the object's material, and
+    `on_border`, the share of it that lies along the object's outline."""
 
     mask: np.ndarray
     share: float
+    slimness: float
     elongation: float
     fullness: float
     contrast: float
+    on_border: float
+
+
+def slimness(mask: np.ndarray) -> float:
+    """How many times its thickness a region (h, w) bool, not blank, extends: of a straight bar and of a bent one."""
+    cv2 = require("cv2", extra="offline")
+    depth = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 5)
+    _, sides, _ = cv2.minAreaRect(np.argwhere(mask)[:, ::-1].astype(np.float32))
+    return float(np.hypot(*sides)) / (2 * float(depth.max()))
 
 
 def longest(found: Sequence[Detail]) -> np.ndarray | None:
     """The detail that is most like a bar."""
-    bars = [detail for detail in found if detail.elongation > 2.2 and detail.share < 0.2]
-    best = max(bars, key=lambda d: min(d.elongation, 8) * d.fullness * d.contrast * np.sqrt(d.share), default=None)
+    bars = [detail for detail in found if detail.slimness > BAR and detail.share < 0.2]
+
+    def likeness(bar: Detail) -> float:
+        apart = 1.0 - 0.8 * bar.on_border  # a door's frame and a shelf's edge are no handles
+        return bar.contrast * np.sqrt(bar.share) * apart
+
+    best = max(bars, key=likeness, default=None)
     return best.mask if best else most_compact(found)
 
 
@@ -82,6 +101,8 @@ def details(mask: np.ndarray, lab: np.ndarray) -> Iterator[Detail]:
     )
     odd = ((distance > max(7.0, float(np.percentile(distance[inner], 80)))) & inner).astype(np.uint8)
     odd = cv2.morphologyEx(odd, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    depth = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    border = depth < 4.0 + 0.03 * np.sqrt(area)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(odd)
     for label in range(1, count):
         size = stats[label, cv2.CC_STAT_AREA]
@@ -90,4 +111,12 @@ def details(mask: np.ndarray, lab: np.ndarray) -> Iterator[Detail]:
         piece = labels == label
         (_, sides, _) = cv2.minAreaRect(np.argwhere(piece)[:, ::-1].astype(np.float32))
         long, short = max(sides) + 1, min(sides) + 1
-        yield Detail(piece, size / area, long / short, min(1.0, size / (long * short)), float(distance[piece].mean()))
+        yield Detail(
+            piece,
+            share=size / area,
+            slimness=slimness(piece),
+            elongation=long / short,
+            fullness=min(1.0, size / (long * short)),
+            contrast=float(distance[piece].mean()),
+            on_border=float(border[piece].mean()),
+        )

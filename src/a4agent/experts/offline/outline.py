@@ -62,7 +62,7 @@ def outline(
         seen = prior | (object_ & ~sure)
         drawn &= cv2.dilate(seen.astype(np.uint8), square, iterations=2) > 0
         drawn |= sure & cv2.erode(prior.astype(np.uint8), square) > 0
-    return _main_pieces(drawn, object_), odd
+    return _main_pieces(drawn if drawn.any() else object_, object_), odd
 
 
 def _reaching_the_border(colours: list[np.ndarray], lab: np.ndarray) -> list[np.ndarray]:

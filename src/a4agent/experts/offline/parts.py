@@ -156,6 +156,8 @@ class Anatomy:
 
     def _bar(self, layout: Layout) -> np.ndarray | None:
         """A long thin thing on something larger: a drawer's or refrigerator's handle."""
+        if details.slimness(self.mask) > details.BAR:  # it is what stood out, as before a plain door
+            return self.mask
         return details.longest(self._details)
 
     def _spot(self, layout: Layout) -> np.ndarray | None:

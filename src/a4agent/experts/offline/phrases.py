@@ -47,6 +47,10 @@ _BY_NAME = {
     "neck": "work", "stem": "middle", "loop": "loop", "strap": "loop", "ring": "loop", "ear": "loop",
 }  # fmt: skip
 _STEMMED = {stem(name): shape for name, shape in _BY_NAME.items()}
+_PLACE = re.compile(
+    r" (?:below|under|underneath|beneath|above|over|on|onto|in|inside|at|by|near|next|beside|behind|between|against"
+    r"|from|to|that|which|with) "
+)
 
 
 @lru_cache(maxsize=512)
@@ -57,7 +61,9 @@ def wanted(phrase: str) -> Wanted:
     objects = know.find_objects(said)
     spoken = re.match(r"(?:the |a |an )?(.+?) of (?:the |a |an |this |that |my )?(.+)$", " ".join(said))
     if spoken:
-        thing = know.object_named(spoken[2]) or (objects[-1].value if objects else None)
+        owner = _PLACE.split(spoken[2])[0]  # of "the drawer below the counter" it is the drawer
+        named = know.find_objects(words(owner)) or objects
+        thing = know.object_named(owner) or (named[-1].value if named else None)
         return _part(spoken[1], thing)
     content = [word for word in said if word not in {"the", "a", "an", "this", "that", "my"}]
     if objects and objects[0].end - objects[0].start == len(content):

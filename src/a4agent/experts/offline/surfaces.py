@@ -16,6 +16,8 @@ DIFFERENT = 11.0
 """A pixel this far from the surface's colour belongs to something else."""
 LEAST_SURFACE = 0.04
 """A surface fills at least this share of the picture."""
+LEAST_THING = 0.006
+"""A thing fills at least this share of the surface; what is smaller is its grain, a reflection or a screw."""
 DEPTH = 3
 
 
@@ -60,7 +62,7 @@ def things_on(lab: np.ndarray, blob: np.ndarray, strict: bool) -> np.ndarray | N
     count, labels, stats, centroids = cv2.connectedComponentsWithStats(odd)
     for label in range(1, count):
         share = stats[label, cv2.CC_STAT_AREA] / area
-        if not 0.002 < share < 0.5 or stats[label, cv2.CC_STAT_AREA] < 20:
+        if not LEAST_THING < share < 0.5 or stats[label, cv2.CC_STAT_AREA] < 20:
             continue
         thing = labels == label
         if (thing & blob).sum() < 0.6 * thing.sum():
