@@ -25,7 +25,7 @@ app = typer.Typer(no_args_is_help=True)
 
 NamesArgument = Annotated[
     list[str] | None,
-    typer.Argument(metavar="[NAME]...", help="Profiles, experts (sam2:tiny), folders or OWNER/NAME on the hub."),
+    typer.Argument(metavar="[NAME]...", help="Profiles, experts (sam2:tiny), folders or OWNER/NAME[@REVISION]."),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
 
