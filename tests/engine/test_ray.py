@@ -9,8 +9,10 @@ from __future__ import annotations
 import importlib
 import logging
 import os
-import pickle
+import signal
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,7 @@ from a4agent.agent import A4Agent
 from a4agent.config import Settings, load_settings
 from a4agent.engine import Stats
 from a4agent.engine import ray as engine_ray
+from a4agent.engine.gate import Gate
 from a4agent.errors import BudgetExceeded, ConfigError, CredentialError, UnknownNameError
 from a4agent.experts import registry
 
@@ -201,36 +204,116 @@ def test_rows_are_the_same_as_the_local_engine_s_and_so_is_the_cache(
 class InProcess:
     """A dataset whose stages run here, in the order of Ray's operators: the logic without the start of actors."""
 
-    def __init__(self, settings: Settings, rows: list[Any], pools: dict[str, dict[str, float]]) -> None:
-        packed = pyarrow.table({"row": pyarrow.array([pickle.dumps(row) for row in rows], pyarrow.large_binary())})
-        for stage in pools:
-            actor = engine_ray._Stage(settings.model_dump(mode="json"), stage)
-            packed = actor(packed)
-            if actor._broken is None:
-                actor._session.close()
-        self._rows = packed.to_pylist()
+    def __init__(self, settings: Settings, rows: list[Any], pools: dict[str, dict[str, float]], gate: Gate) -> None:
+        self._rows = rows
+        self._batch = int(next(iter(pools.values()))["batch"])
+        self._actors = [
+            engine_ray._Stage(settings.model_dump(mode="json"), stage, None if number else gate)  # type: ignore[arg-type]
+            for number, stage in enumerate(pools)
+        ]
 
-    def iter_rows(self) -> Iterator[dict[str, Any]]:
-        return iter(reversed(self._rows))
+    def iter_batches(self, **_: Any) -> Iterator[Any]:
+        try:
+            for start in reversed(range(0, len(self._rows), self._batch)):
+                table = engine_ray._packed(self._rows[start : start + self._batch])
+                for actor in self._actors:
+                    table = actor(table)
+                yield table
+        finally:
+            for actor in self._actors:
+                if actor._broken is None:
+                    actor._session.close()
 
 
 @pytest.fixture
 def _in_process(monkeypatch: pytest.MonkeyPatch, _plugin: None) -> None:
     monkeypatch.setattr(engine_ray, "_dataset", InProcess)
     monkeypatch.setattr(engine_ray, "_start", lambda ray: False)
+    monkeypatch.setattr(engine_ray, "SharedGate", Gate)
 
 
 @pytest.mark.usefixtures("_in_process")
-def test_given_answers_order_and_a_budget(settings: Settings, queries: list[Query], tmp_path: Path) -> None:
+def test_given_answers_and_order(settings: Settings, queries: list[Query], tmp_path: Path) -> None:
     given = Given(target=Target("t", "o", "part 3"))
     answers = list(engine_ray.run(settings, queries[:9], given=lambda query: given, ordered=True))
     assert [query.id for query, _ in answers] == [f"q{number}" for number in range(9)]
     assert {answer.target.object_part for _, answer in answers if answer.target} == {"part 3"}
     assert set(calls(tmp_path)) == {"detector:d", "segmenter:s"}
 
-    tight = settings.model_copy(update={"engine": settings.engine.model_copy(update={"max_cost": 0.05})})
-    with pytest.raises(BudgetExceeded, match="max_cost"):
-        list(engine_ray.run(tight, queries))
+
+def until_stopped(answers: Iterator[tuple[Query, Affordance]]) -> tuple[list[Affordance], BaseException | None]:
+    done: list[Affordance] = []
+    try:
+        for _, affordance in answers:
+            done.append(affordance)
+    except (Exception, KeyboardInterrupt) as error:
+        return done, error
+    return done, None
+
+
+def interrupted(answers: Iterator[tuple[Query, Affordance]]) -> Iterator[tuple[Query, Affordance]]:
+    """Ctrl-C when the first answer has come."""
+    yield next(answers)
+    signal.raise_signal(signal.SIGINT)
+    yield from answers
+
+
+def limited(settings: Settings, **limits: float) -> Settings:
+    return settings.model_copy(update={"engine": settings.engine.model_copy(update=limits)})
+
+
+@pytest.mark.usefixtures("_in_process")
+def test_a_budget_of_money_is_kept(settings: Settings, queries: list[Query]) -> None:
+    done, stopped = until_stopped(engine_ray.run(limited(settings, max_cost=0.3), queries))
+    assert isinstance(stopped, BudgetExceeded)
+    assert "max_cost = 0.3 " in str(stopped)
+    assert 0.1 < sum(answer.trace.cost for answer in done) <= 0.3
+
+
+@pytest.mark.usefixtures("_in_process")
+@pytest.mark.parametrize("limits", [{"max_cost": 0.6}, {"max_seconds": 0.01}])
+def test_a_budget_that_refused_nothing_stops_nothing(
+    settings: Settings, queries: list[Query], limits: dict[str, float]
+) -> None:
+    some = queries if "max_cost" in limits else queries[:8]
+    answers = engine_ray.run(limited(settings, **limits), some)
+    done = [next(answers)]
+    time.sleep(0.5)  # the time is over when the last are given
+    assert len(done + list(answers)) == len(some)
+
+
+@pytest.mark.usefixtures("_in_process")
+def test_a_budget_of_time_begins_no_more(settings: Settings, queries: list[Query]) -> None:
+    answers = engine_ray.run(limited(settings, max_seconds=0.01), queries)
+    next(answers)
+    time.sleep(0.5)
+    done, stopped = until_stopped(answers)
+    assert isinstance(stopped, BudgetExceeded)
+    assert "max_seconds = 0.01" in str(stopped)
+    assert 1 + len(done) == 2  # the first batch that the stub answers is the last one, of two
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.usefixtures("_cluster")
+def test_the_first_interrupt_lets_what_was_begun_end(settings: Settings, queries: list[Query], tmp_path: Path) -> None:
+    settings = settings.model_copy(update={"ray": {stage: {"num_cpus": 0.25, "batch": 2} for stage in settings.ray}})
+    done, stopped = until_stopped(interrupted(engine_ray.run(settings, queries)))
+    assert isinstance(stopped, KeyboardInterrupt)
+    assert len(done) < len(queries)
+    asked = calls(tmp_path)
+    assert asked.count("editor:e") == sum(any(s.role == "editor" for s in answer.trace.steps) for answer in done)
+    assert asked.count("segmenter:s") == sum(answer.status == "ok" for answer in done)
+
+
+@pytest.mark.usefixtures("_cluster")
+def test_who_stops_early_leaves_no_thread_that_may_ask_ray_after_its_end(
+    settings: Settings, queries: list[Query]
+) -> None:
+    """Ray ends the process of such a thread, or starts another Ray for it."""
+    before = set(threading.enumerate())
+    for _ in engine_ray.run(settings, queries):
+        break
+    assert {thread.name for thread in set(threading.enumerate()) - before} <= {"Prefetcher"}
 
 
 @pytest.mark.usefixtures("_cluster")

@@ -18,6 +18,8 @@ from a4agent.engine.stop import Stop
 
 log = logging.getLogger("a4agent")
 
+FINISHING = "finishing the samples in flight; interrupt again to leave at once"
+
 Answered = tuple[int, Query, Affordance]
 
 
@@ -88,7 +90,7 @@ class _Pool:
                 self._wake_all()
             if self._stop.interrupted and not told:
                 told = True
-                log.warning("finishing the samples in flight; interrupt again to leave at once")
+                log.warning(FINISHING)
             try:
                 answered = self._results.get(timeout=0.2)
             except queue.Empty:
