@@ -230,4 +230,6 @@ def test_closing_lets_go_and_the_next_call_loads_again(tiny_sam2, noise):
     segmenter.close()
     segmenter.close()
     assert segmenter._model is None
+    segmenter.prepare([noise(80, 48)])  # a thread of a run that is over comes late
+    assert segmenter._model is None
     np.testing.assert_array_equal(segmenter.segment([request])[0].masks, before.masks)

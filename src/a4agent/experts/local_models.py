@@ -257,7 +257,7 @@ class LocalExpert(ExpertBase):
         self.checkpoint = checkpoint
         self.placement = placement
         self._lock = threading.RLock()
-        self._loaded = False
+        self._loaded = self._closed = False
         self._fitting = max_batch
 
     def _load(self) -> None:
@@ -274,12 +274,14 @@ class LocalExpert(ExpertBase):
             ModelFilesError: the files cannot be loaded.
         """
         with self._lock:
+            self._closed = False
             if not self._loaded:
                 self._load()
                 self._loaded = True
 
     def close(self) -> None:
         with self._lock:
+            self._closed = True
             if self._loaded:
                 self._unload()
                 self._loaded = False

@@ -98,8 +98,13 @@ class SamSegmenter(LocalExpert):
         self._embeddings: OrderedDict[str, list[Any]] = OrderedDict()
 
     def prepare(self, images: Sequence[Image]) -> None:
-        """Encode images ahead of their prompts. What does not fit the cache, or memory, is left for `segment`."""
-        self._in_batches(images[: self._cached_images], self._encode)
+        """Encode images ahead of their prompts. What does not fit the cache, or memory, is left for `segment`.
+
+        Once closed it does nothing until `segment` is asked again: weights are not loaded for a run that is over.
+        """
+        with self._lock:
+            if not self._closed:
+                self._in_batches(images[: self._cached_images], self._encode)
 
     def segment(self, requests: Sequence[SegmentRequest]) -> list[Segmentation | A4Error]:
         """Masks at the size of each image, in the order of its prompts.
