@@ -31,6 +31,9 @@ def test_two_calls_of_gpt_4o_cost_about_a_cent():
 
 def test_a_dated_snapshot_has_the_price_of_its_model():
     assert price_of("gpt-4o-2024-08-06") == price_of("gpt-4o")
+    first = price_of("gpt-4o-2024-05-13")
+    assert first is not None
+    assert (first.input, first.output) == (5.0, 15.0)
     assert price_of("gpt-4o-tuned") is None
     assert price_of("Qwen/Qwen2.5-VL-7B-Instruct") is None
 
