@@ -111,7 +111,7 @@ class Connection:
         base_url: such as "http://127.0.0.1:8000/v1"; "" is the server's usual place.
         server: a name from servers.toml; "" recognises it by `base_url`.
         api_key_variable: the environment variable with the key; "" is the server's usual one. A vendor's key
-            is never sent to another server unless it is named here.
+            goes to no other address, unless it is named here or the vendor as `server`.
         timeout: seconds to wait for the server to connect or to send the next byte.
         max_retries: how often the SDK repeats a call that failed for a reason that may pass.
 
