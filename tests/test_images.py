@@ -155,6 +155,12 @@ def test_damaged_bytes_are_read_or_refused(noise: bytes, kind: str, place: int) 
         assert str(error)
 
 
+@pytest.mark.parametrize("kind", ["EPS", "PCX", "TGA", "JPEG2000", "ICO"])
+def test_formats_that_few_test_or_that_start_programs_are_not_decoded(kind: str) -> None:
+    with pytest.raises(InputError, match="not an image in a format that can be read"):
+        load_image(encoded(PHOTO, kind))
+
+
 def test_the_hash_is_of_the_pixels_and_the_size() -> None:
     assert image_hash(PHOTO) == image_hash(load_image(encoded(PHOTO, "PNG")))
     assert image_hash(PHOTO) != image_hash(PHOTO.transpose(Image.Transpose.FLIP_TOP_BOTTOM))

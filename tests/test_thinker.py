@@ -46,7 +46,7 @@ def test_a_bad_answer_is_asked_again_with_the_reason() -> None:
 
 def test_after_two_reasks_it_gives_up_with_the_last_reason() -> None:
     vlm = ScriptedVLM(["", "no", "still no"])
-    with pytest.raises(UnreadableAnswer, match=r"asked 3 times: the answer held no JSON object"):
+    with pytest.raises(UnreadableAnswer, match=r"\(the answer held no JSON object\)"):
         Thinker(vlm).decide(PHOTO, "drink")
 
 
@@ -71,5 +71,5 @@ def test_structured_sends_a_schema_with_thinking_first() -> None:
 
 def test_what_the_model_said_instead_is_quoted() -> None:
     unknown = "### Thinking\nI see no mug here.\n### Output\n{}"
-    with pytest.raises(UnreadableAnswer, match=r"object_name: .* It said: 'I see no mug here\.'"):
+    with pytest.raises(UnreadableAnswer, match=r"it said 'I see no mug here\.' \(object_name: "):
         Thinker(ScriptedVLM([unknown] * 3)).decide(PHOTO, "drink")

@@ -89,6 +89,8 @@ def _last_valid(text: str, reasons: list[str]) -> TargetAnswer | None:
 def _reason(error: ValidationError) -> str:
     first = error.errors()[0]
     place = ".".join(str(part) for part in first["loc"]) or "the JSON value"
+    if first["type"] == "string_too_short":
+        return f"{place} is empty"
     return f"{place}: {first['msg']}"
 
 

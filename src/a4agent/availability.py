@@ -66,7 +66,7 @@ def check_settings(settings: Settings) -> list[Missing]:
     for need in needs:
         if need.path is None:
             size = f", {need.info.gigabytes:g} GB" if need.info.gigabytes else ""
-            found.append(Missing(f"the model {need.name}{size}", f"a4 models pull {need.name}"))
+            found.append(Missing(f"the model {need.name}{size}", f"a4 models pull {need.reference}"))
     with_checkpoints = {role for need in needs for role in need.roles}
     for role, spec in experts.items():
         if role not in with_checkpoints:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 MAX_PIXELS = 100_000_000
 SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".gif", ".ppm"})
+FORMATS = ("JPEG", "PNG", "BMP", "GIF", "PPM", "WEBP", "TIFF")
+"""Pillow's names of what is decoded, whoever sends it: of its other decoders some are untested or start programs."""
 _LIMIT = threading.Lock()
 
 
@@ -79,7 +81,7 @@ def _open(file: IO[bytes]) -> Image:
     with _LIMIT:
         limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
         try:
-            return Image.open(file)
+            return Image.open(file, formats=FORMATS)
         finally:
             Image.MAX_IMAGE_PIXELS = limit
 
@@ -94,7 +96,9 @@ def _explained(name: str) -> Generator[None, None, None]:
     except InputError:
         raise
     except UnidentifiedImageError as error:
-        raise InputError(f"{name} is not an image in a format that can be read (JPEG, PNG, WebP, ...)") from error
+        raise InputError(
+            f"{name} is not an image in a format that can be read (JPEG, PNG, WebP, BMP, TIFF, GIF)"
+        ) from error
     except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError, KeyError) as error:
         raise InputError(f"{name} is damaged or cut off: {error}") from error
     except Exception as error:  # decoders raise struct.error, zlib.error and more of their own
@@ -135,7 +139,7 @@ def _to_rgb(image: Image, name: str, max_pixels: int) -> Image:
 
 def _to_8_bit(samples: np.ndarray) -> np.ndarray:
     """16-bit counts by their full scale; floats and wide integers that exceed it by their own range."""
-    values = samples.astype(np.float64)
+    values = samples.astype(np.float32 if samples.dtype.itemsize <= 2 else np.float64)
     values = np.where(np.isfinite(values), values, 0.0)
     low, high = float(values.min(initial=0.0)), float(values.max(initial=0.0))
     if samples.dtype.kind == "f" and high <= 1.0 and low >= 0.0:

@@ -73,9 +73,9 @@ class Thinker:
                 text = question + REASK.format(reason=reason)
                 continue
             return replace(target, task=target.task or instruction, thinking=target.thinking or answer.reasoning)
-        asked = f"{self.vlm.id} gave no usable answer to {instruction!r} when asked {self.reasks + 1} times: {reason}"
-        if said:
-            asked += f". It said: {said[:SAID].strip()!r}"
+        times = "once" if self.reasks == 0 else f"{self.reasks + 1} times"
+        asked = f"{self.vlm.id} gave no usable answer to {instruction!r} when asked {times}"
+        asked += f": it said {said[:SAID].strip()!r} ({reason})" if said else f": {reason}"
         if cut_off:
             raise TruncatedAnswer(f"{asked}; raise thinker.max_tokens")
         raise UnreadableAnswer(asked)

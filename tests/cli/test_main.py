@@ -47,3 +47,14 @@ def test_without_arguments_it_helps(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main([])
     assert "predict" in capsys.readouterr().out
+
+
+def test_an_interrupt_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupted() -> list[str]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("a4agent.benchmarks.registry.names", interrupted)
+    with pytest.raises(SystemExit) as ended:
+        main(["data", "list"])
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "interrupted\n"

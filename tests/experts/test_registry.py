@@ -58,7 +58,7 @@ def test_a_value_of_the_wrong_kind_is_explained(settings: dict[str, object], wor
 
 
 def test_a_role_the_expert_cannot_play_is_refused() -> None:
-    with pytest.raises(ConfigError, match="cannot be a vlm"):
+    with pytest.raises(ConfigError, match="cannot be the vlm"):
         registry.create("mine:x", "vlm")
 
 

@@ -92,7 +92,7 @@ def test_mistakes_are_named(tiny_sam3, tiny_sam2):
         sam3.create(str(tiny_sam2), "detector")
     with pytest.raises(ConfigError, match="threshold"):
         sam3.create(str(tiny_sam3), "detector", threshold=1.5)
-    with pytest.raises(ConfigError, match="cannot be a vlm"):
+    with pytest.raises(ConfigError, match="cannot be the vlm"):
         registry.create(f"sam3:{tiny_sam3}", "vlm")
     with pytest.raises(ModelFilesError, match="a4 models pull facebook/sam3"):
         sam3.create("facebook/sam3", "detector")

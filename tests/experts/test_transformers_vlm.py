@@ -145,5 +145,5 @@ def test_mistakes_are_named(tiny_sam2, tiny_qwen_vl, tmp_path):
         transformers_vlm.create(str(tiny_qwen_vl), "vlm", temperature=-1.0)
     with pytest.raises(ModelFilesError, match=r"sam2"):
         transformers_vlm.create(str(tiny_sam2), "vlm").load()
-    with pytest.raises(ConfigError, match="cannot be a segmenter"):
+    with pytest.raises(ConfigError, match="cannot be the segmenter"):
         registry.create(f"transformers:{tiny_qwen_vl}", "segmenter")

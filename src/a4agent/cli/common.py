@@ -56,7 +56,7 @@ def build_agent(settings: Settings) -> A4Agent:
     from a4agent.agent import A4Agent
 
     for need in models.check(settings.expert_specs()):
-        messages.print(f"fetching {need.name}: {need.terms}", soft_wrap=True)
+        messages.print(f"fetching {need.reference}: {need.terms}", soft_wrap=True)
     return A4Agent.from_settings(settings)
 
 

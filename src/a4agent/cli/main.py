@@ -88,6 +88,10 @@ def main(arguments: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         common.messages.print("interrupted")
         sys.exit(common.INTERRUPTED)
+    except SystemExit as ended:
+        if isinstance(getattr(ended.__context__, "__cause__", None), KeyboardInterrupt):  # typer says nothing
+            common.messages.print("interrupted")
+        raise
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(common.SOME_FAILED)

@@ -75,7 +75,7 @@ def create(
         MissingExtraError: the openai package is not installed.
     """
     if role != "vlm":
-        raise ConfigError(f"'openai:{model}' is a vlm and cannot be a {role}; 'vlm-grounding:' makes it a detector")
+        raise ConfigError(f"'openai:{model}' is a vlm and cannot be the {role}; 'vlm-grounding:' makes it a detector")
     connection = Connection(
         model,
         base_url=base_url,

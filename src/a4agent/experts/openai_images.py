@@ -65,7 +65,7 @@ def create(
         MissingExtraError: the openai package is not installed.
     """
     if role != "editor":
-        raise ConfigError(f"'openai-images:{model}' is an editor and cannot be a {role}")
+        raise ConfigError(f"'openai-images:{model}' is an editor and cannot be the {role}")
     connection = Connection(
         model,
         base_url=base_url,

@@ -108,7 +108,7 @@ def create(spec: str, role: Role, settings: Mapping[str, Any] | None = None) -> 
     _check_values(spec, factory, settings)
     expert = factory(model, role, **settings)
     if not callable(getattr(expert, VERBS[role], None)):
-        raise ConfigError(f"{spec!r} cannot be a {role}: it has no method {VERBS[role]!r}")
+        raise ConfigError(f"{spec!r} cannot be the {role}: it has no method {VERBS[role]!r}")
     return expert
 
 

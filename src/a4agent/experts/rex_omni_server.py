@@ -85,7 +85,7 @@ def create(
         MissingExtraError: the openai package is not installed.
     """
     if role != "detector":
-        raise ConfigError(f"'rex-omni-server:{model}' is a detector and cannot be a {role}")
+        raise ConfigError(f"'rex-omni-server:{model}' is a detector and cannot be the {role}")
     if not model:
         raise ConfigError("write the server's address after the colon: 'rex-omni-server:http://127.0.0.1:8000/v1'")
     if max_tokens < 1:

@@ -157,7 +157,7 @@ def create(
         ConfigError: the dialect has no VLM of its own and none is given.
     """
     if role != "detector":
-        raise ConfigError(f"'vlm-grounding:{model}' is a detector and cannot be a {role}")
+        raise ConfigError(f"'vlm-grounding:{model}' is a detector and cannot be the {role}")
     dialect = _dialect(model)
     if max_tokens < 0:
         raise ConfigError(f"max_tokens is 0 (the dialect's own limit) or more, not {max_tokens!r}")

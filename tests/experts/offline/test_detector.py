@@ -85,6 +85,11 @@ def test_an_even_picture_has_no_part(size: tuple[int, int]) -> None:
     assert found.points_xy.shape == (0, 2)
 
 
+def test_a_folder_of_photographs_is_not_all_in_memory() -> None:
+    with A4Agent.from_profile("offline") as agent:
+        assert sum(expert.max_batch * expert.concurrency for expert in agent.experts()) <= 4
+
+
 def test_the_answer_does_not_depend_on_the_name_of_an_unknown_object(pan) -> None:
     image = pan().image
     one, other = detect(image, "the handle of the frobnicator"), detect(image, "the handle of the zorble")
