@@ -26,7 +26,7 @@ from a4agent.experts.offline.silhouette import Silhouette, find_object
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-REMEMBERED = 16
+REMEMBERED = 8
 
 
 class Scene:
