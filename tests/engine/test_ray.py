@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -228,7 +229,7 @@ class InProcess:
 @pytest.fixture
 def _in_process(monkeypatch: pytest.MonkeyPatch, _plugin: None) -> None:
     monkeypatch.setattr(engine_ray, "_dataset", InProcess)
-    monkeypatch.setattr(engine_ray, "_start", lambda ray: False)
+    monkeypatch.setattr(engine_ray, "_connected", lambda ray, pools: nullcontext())
     monkeypatch.setattr(engine_ray, "SharedGate", Gate)
 
 
@@ -347,8 +348,17 @@ def test_pools_come_from_the_settings(settings: Settings) -> None:
         engine_ray.pool_of(changed(dreamers={"replicas": 2}), "dreamer")
     with pytest.raises(UnknownNameError, match="did you mean 'num_gpus'"):
         engine_ray.pool_of(changed(dreamer={"gpus": 2}), "dreamer")
-    with pytest.raises(ConfigError, match="replicas"):
-        engine_ray.pool_of(changed(dreamer={"replicas": 0}), "dreamer")
+    for key, value in (("replicas", 0), ("replicas", 1.5), ("batch", 0), ("num_cpus", -1), ("num_gpus", -0.5)):
+        with pytest.raises(ConfigError, match=f"ray.dreamer.{key}.*not {value}"):
+            engine_ray.pool_of(changed(dreamer={key: value}), "dreamer")
+
+
+@pytest.mark.usefixtures("_cluster")
+def test_a_cluster_that_is_too_small_is_told_at_once(settings: Settings, queries: list[Query]) -> None:
+    """Ray itself would wait for a node to come."""
+    greedy = settings.model_copy(update={"ray": {"spotter": {"num_gpus": 1, "num_cpus": 0.25}}})
+    with pytest.raises(ConfigError, match=r"takes 1 GPUs, and Ray has 0; .*ray.spotter.num_gpus"):
+        list(engine_ray.run(greedy, queries))
 
 
 def test_the_example_of_a_cluster_fits() -> None:

@@ -78,7 +78,7 @@ def run(
 
     Raises:
         MissingExtraError: ray is not installed.
-        ConfigError: a table [ray.STAGE] that does not fit, or a cluster that cannot be reached.
+        ConfigError: a table [ray.STAGE] that does not fit, or a cluster that cannot be reached or is too small.
         UserError, ProviderError, BudgetExceeded: as `engine.run`.
     """
     ray: Any = require("ray", extra="ray")
@@ -86,7 +86,7 @@ def run(
     rows = [_Row(number, query, (given and given(query)) or Given()) for number, query in enumerate(queries)]
     if not rows:
         return
-    with _connected(ray), Stop() as stop:
+    with _connected(ray, pools), Stop() as stop:
         room, limits = _Room.of(pools), settings.engine
         gate = SharedGate(room.most if limits.max_cost is None else room.least)  # until it is known what a sample costs
         with _watched(stop, gate, limits.max_seconds):
@@ -104,7 +104,7 @@ def pool_of(settings: Settings, stage: str) -> dict[str, float]:
 
     Raises:
         UnknownNameError: a table that is no stage, or a key that is none of replicas, num_cpus, num_gpus, batch.
-        ConfigError: no replica or an empty batch.
+        ConfigError: no replica, an empty batch, or less than no CPUs or GPUs.
     """
     for name in settings.ray:
         if name not in STAGES:
@@ -114,9 +114,11 @@ def pool_of(settings: Settings, stage: str) -> dict[str, float]:
         if key not in DEFAULTS:
             raise UnknownNameError(_unknown(f"ray.{stage}.{key}", key, DEFAULTS))
     pool = {**DEFAULTS, **table}
-    for key in ("replicas", "batch"):
-        if pool[key] < 1:
-            raise ConfigError(f"the setting 'ray.{stage}.{key}' is at least 1, not {pool[key]:g}")
+    for key, value in pool.items():
+        least, whole = (1, True) if key in ("replicas", "batch") else (0, False)
+        if value < least or (whole and value % 1):
+            number = "a whole number" if whole else "a number"
+            raise ConfigError(f"the setting 'ray.{stage}.{key}' is {number} of at least {least}, not {value:g}")
     return pool
 
 
@@ -130,7 +132,7 @@ def _stages(settings: Settings) -> list[str]:
 
 
 @contextmanager
-def _connected(ray: Any) -> Generator[None]:
+def _connected(ray: Any, pools: dict[str, dict[str, float]]) -> Generator[None]:
     """Use the Ray that is there, or start one and shut it down again.
 
     Ray Data's threads outlive what is read from it. One that asks Ray for something after the shutdown starts another
@@ -139,10 +141,23 @@ def _connected(ray: Any) -> Generator[None]:
     started_here = _start(ray)
     before = set(threading.enumerate())
     try:
+        _check_size(ray.cluster_resources(), pools)
         yield
     finally:
         if _ended(set(threading.enumerate()) - before) and started_here:
             ray.shutdown()
+
+
+def _check_size(there: dict[str, float], pools: dict[str, dict[str, float]]) -> None:
+    """Ray waits for ever for what no node has, so see that there is room for an actor of each stage."""
+    for resource, key in (("CPU", "num_cpus"), ("GPU", "num_gpus")):
+        needed, found = sum(pool[key] for pool in pools.values()), there.get(resource, 0.0)
+        if needed > found:
+            settings = ", ".join(f"ray.{stage}.{key}" for stage in pools)
+            raise ConfigError(
+                f"an actor for each of {', '.join(pools)} takes {needed:g} {resource}s, and Ray has {found:g}; add"
+                f" nodes, or lower {settings}"
+            )
 
 
 def _ended(threads: set[threading.Thread]) -> bool:
