@@ -37,6 +37,12 @@ def test_the_thing_on_a_sheet_on_a_board_is_found() -> None:
     assert (trail[2] & TOOL).sum() / (trail[2] | TOOL).sum() > 0.8
 
 
+def test_a_sheet_that_the_network_left_out_of_the_board_is_on_it() -> None:
+    trail = innermost(picture((BOARD, (20, 24, 22)), (SHEET, (235, 235, 240)), (TOOL, (200, 30, 30))), BOARD & ~SHEET)
+    assert len(trail) == 3
+    assert (trail[2] & TOOL).sum() / (trail[2] | TOOL).sum() > 0.8
+
+
 def test_a_bare_board_is_what_there_is() -> None:
     assert len(innermost(picture((BOARD, (20, 24, 22))), BOARD)) == 1
 

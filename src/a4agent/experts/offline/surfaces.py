@@ -56,6 +56,7 @@ def things_on(lab: np.ndarray, blob: np.ndarray, strict: bool) -> np.ndarray | N
     odd = ((distance > DIFFERENT) & inner).astype(np.uint8)
     odd = cv2.morphologyEx(odd, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
     edge = inner & (cv2.erode(inner.astype(np.uint8), np.ones((3, 3), np.uint8)) == 0)
+    sheet = _has_four_corners(outline)
     moments = cv2.moments(outline)
     centre = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
     best, best_cost = None, 0.45
@@ -65,11 +66,12 @@ def things_on(lab: np.ndarray, blob: np.ndarray, strict: bool) -> np.ndarray | N
         if not LEAST_THING < share < 0.5 or stats[label, cv2.CC_STAT_AREA] < 20:
             continue
         thing = labels == label
-        if (thing & blob).sum() < 0.6 * thing.sum():
-            continue  # a hole in the blob
         contours, _ = cv2.findContours(thing.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         on_edge = (thing & edge).sum() / max(cv2.arcLength(max(contours, key=len), True), 1.0)
         off_centre = np.linalg.norm(centroids[label] - centre) / np.sqrt(area)
+        inside_frame = sheet and share > 0.1 and off_centre < 0.2
+        if not inside_frame and (thing & blob).sum() < 0.6 * thing.sum():
+            continue  # a hole in the blob, as a handle has
         cost = off_centre + on_edge - 2.0 * min(share, 0.1)
         if on_edge < 0.22 and cost < best_cost:
             best, best_cost = thing, cost
@@ -92,12 +94,17 @@ def _outline(blob: np.ndarray, strict: bool) -> np.ndarray | None:
         outline = _largest(cv2.morphologyEx(filled, cv2.MORPH_OPEN, kernel))
         if outline is None or (brush > 0.3 and cv2.contourArea(outline) < 0.87 * cv2.contourArea(whole)):
             continue
-        area, hull = cv2.contourArea(outline), cv2.convexHull(outline)
-        corners = cv2.approxPolyDP(hull, 0.04 * cv2.arcLength(hull, True), True)
-        four = len(corners) == 4 and 0.9 < area / max(cv2.contourArea(corners), 1.0) < 1.16
-        if area >= 0.96 * cv2.contourArea(hull) and (four or not strict):
+        convex = cv2.contourArea(outline) >= 0.96 * cv2.contourArea(cv2.convexHull(outline))
+        if convex and (not strict or _has_four_corners(outline)):
             return outline
     return None
+
+
+def _has_four_corners(outline: np.ndarray) -> bool:
+    cv2 = require("cv2", extra="offline")
+    hull = cv2.convexHull(outline)
+    corners = cv2.approxPolyDP(hull, 0.04 * cv2.arcLength(hull, True), True)
+    return len(corners) == 4 and 0.9 < cv2.contourArea(outline) / max(cv2.contourArea(corners), 1.0) < 1.16
 
 
 def _largest(mask: np.ndarray) -> np.ndarray | None:
