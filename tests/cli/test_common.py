@@ -26,6 +26,12 @@ def test_the_users_mistakes_exit_with_2_and_others_with_1(capsys: pytest.Capture
     assert "no such [bold]image[/]: 'a.png'" in capsys.readouterr().err.replace("\n", " ")
 
 
+def test_names_are_shown_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    common.say("plugin:a: [bold]runs/[x][/]")
+    common.warn("plugin:a: [x]")
+    assert capsys.readouterr().err == "plugin:a: [bold]runs/[x][/]\nwarning: plugin:a: [x]\n"
+
+
 def test_missing_models_are_told_before_any_work() -> None:
     settings = common.settings("grounding-dino")
     with pytest.raises(ModelFilesError, match="a4 models pull"):

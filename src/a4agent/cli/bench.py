@@ -14,7 +14,7 @@ import typer
 from a4agent.cli import common, scores_text
 from a4agent.cli.bench_progress import Display
 from a4agent.cli.benchmark_data import OptionsOption, RuleOption, opened, with_samples
-from a4agent.cli.common import ProfileOption, SetOption, messages
+from a4agent.cli.common import ProfileOption, SetOption
 from a4agent.errors import A4Error, BudgetExceeded, ConfigError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -174,9 +174,7 @@ def _run(work: Bench, agent: A4Agent, as_json: bool) -> _Ended:
     stopped: BaseException | None = None
     with work.open(agent) as session:
         there = session.progress.planned - session.progress.to_ask
-        messages.print(
-            f"{title}: {session.progress.to_ask} samples to ask, {there} there, in {session.folder}/", soft_wrap=True
-        )
+        common.say(f"{title}: {session.progress.to_ask} samples to ask, {there} there, in {session.folder}/")
         with Display(title, session.progress) as display:
             try:
                 for _ in session:
@@ -193,7 +191,7 @@ def _run(work: Bench, agent: A4Agent, as_json: bool) -> _Ended:
         common.warn("an answer that the cache holds was not asked for again; with --cache off it is")
     code = common.SOME_FAILED if progress.failed or progress.unscored else common.OK
     if isinstance(stopped, KeyboardInterrupt):
-        messages.print("interrupted" + ("" if run.complete else "; the same command goes on from here"))
+        common.say("interrupted" + ("" if run.complete else "; the same command goes on from here"))
         code = common.INTERRUPTED
     elif stopped is not None:
         code = common.fail(stopped)
@@ -209,9 +207,9 @@ def _tell(progress: Progress) -> None:
     stats = progress.stats
     if stats.asked or stats.saved:
         saved = f", {stats.saved} answered from the cache" if stats.saved else ""
-        messages.print(f"model calls: {stats.asked} made{saved}")
+        common.say(f"model calls: {stats.asked} made{saved}")
         for line in stats.lines():
-            messages.print(f"  {line}", soft_wrap=True, highlight=False)
+            common.say(f"  {line}")
 
 
 def _show_scores(run: Run) -> None:
@@ -225,8 +223,8 @@ def _show_scores(run: Run) -> None:
     told = [record.row["error"] for record in run.records.values() if record.row["error"]]
     for reason, count in scores.errors(run).most_common(SHOWN):
         first = next(error for error in told if error.startswith(reason))
-        messages.print(f"{count} failed like this: {first}", soft_wrap=True, highlight=False, markup=False)
-    messages.print(f"to look at it: a4 report {run.folder}", soft_wrap=True, highlight=False, markup=False)
+        common.say(f"{count} failed like this: {first}")
+    common.say(f"to look at it: a4 report {run.folder}")
 
 
 def _settings_of(system: System, sets: list[str] | None, limits: dict[str, Any]) -> Settings:

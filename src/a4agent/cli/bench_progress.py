@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from a4agent.cli.common import messages
+from a4agent.cli.common import messages, say
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -43,7 +43,7 @@ class Display:
             self._bar.update(self._task, completed=done, words=text)
         elif now - self._told > PLAIN_SECONDS:
             self._told = now
-            messages.print(f"{self._title}: {done} of {progress.planned}, {text}", soft_wrap=True)
+            say(f"{self._title}: {done} of {progress.planned}, {text}")
 
 
 def words(progress: Progress, seconds: float) -> str:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 OK, SOME_FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
-messages = Console(stderr=True, highlight=False)
+messages = Console(stderr=True, highlight=False, emoji=False)
 """Where everything goes that is not the result."""
 
 ProfileOption = Annotated[
@@ -56,8 +56,13 @@ def build_agent(settings: Settings) -> A4Agent:
     from a4agent.agent import A4Agent
 
     for need in models.check(settings.expert_specs()):
-        messages.print(f"fetching {need.reference}: {need.terms}", soft_wrap=True)
+        say(f"fetching {need.reference}: {need.terms}")
     return A4Agent.from_settings(settings)
+
+
+def say(text: str) -> None:
+    """A line on stderr, as it is: names may hold what rich takes for markup."""
+    messages.print(text, markup=False, soft_wrap=True)
 
 
 def fail(error: BaseException) -> int:

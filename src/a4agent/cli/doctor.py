@@ -124,7 +124,7 @@ def _show(report: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.markup import escape
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, emoji=False, soft_wrap=True)
     good, bad = "[green]✓[/]", "[yellow]–[/]"
     console.print(f"a4agent {report['a4agent']}, Python {report['python']}, {escape(report['platform'])}")
     accelerators = ", ".join(report["accelerators"]) or "no GPU (the profiles `offline` and `api` need none)"

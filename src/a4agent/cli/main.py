@@ -86,11 +86,11 @@ def main(arguments: list[str] | None = None) -> None:
     except A4Error as error:
         sys.exit(common.fail(error))
     except KeyboardInterrupt:
-        common.messages.print("interrupted")
+        common.say("interrupted")
         sys.exit(common.INTERRUPTED)
     except SystemExit as ended:
         if isinstance(getattr(ended.__context__, "__cause__", None), KeyboardInterrupt):  # typer says nothing
-            common.messages.print("interrupted")
+            common.say("interrupted")
         raise
     except BrokenPipeError:
         sys.stderr.close()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from a4agent.cli import common
-from a4agent.cli.common import ProfileOption, SetOption, messages
+from a4agent.cli.common import ProfileOption, SetOption, messages, say
 from a4agent.errors import ModelFilesError, ResourceError
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def pull(
     missing = [need for need in needs if need.path is None]
     for need in needs:
         if need.path is not None:
-            messages.print(f"{need.name} is here: {need.path}", markup=False, soft_wrap=True)
+            say(f"{need.name} is here: {need.path}")
     if not missing:
         return
     sizes = {need: hub.download_bytes(need.name, need.revision, need.file) for need in missing}
@@ -70,7 +70,7 @@ def pull(
         raise typer.Exit(common.USAGE)
     for need in missing:
         path = hub.fetch(need.name, need.revision, need.file)
-        messages.print(f"[green]fetched[/] {need.reference}: {path}", soft_wrap=True)
+        say(f"fetched {need.reference}: {path}")
 
 
 @app.command()
@@ -89,7 +89,7 @@ def verify(
     for need in _named(_with_profile(names, profile), sets):
         if need.path is None:
             damaged += 1
-            messages.print(f"[red]missing[/] {need.name}: a4 models pull {need.reference}", soft_wrap=True)
+            messages.print(f"[red]missing[/] {escape(f'{need.name}: a4 models pull {need.reference}')}", soft_wrap=True)
             continue
         name = escape(need.name)
         with messages.status(f"reading {name}"):
@@ -98,7 +98,7 @@ def verify(
             messages.print(f"[red]damaged[/] {name}: {escape(problem)}", soft_wrap=True)
         if found:
             damaged += 1
-            messages.print(f"  {_repair(need, need.path)}", markup=False, soft_wrap=True)
+            say(f"  {_repair(need, need.path)}")
         else:
             messages.print(f"[green]whole[/]   {name}", soft_wrap=True)
     if damaged:
@@ -173,7 +173,7 @@ def _show(needs: list[Need], *, everything: bool) -> None:
     from rich.console import Console
     from rich.markup import escape
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, emoji=False)
     if not needs:
         console.print("no models to fetch: it works with APIs or with what is installed")
         return
@@ -204,8 +204,8 @@ def _advise(console: Console, needs: list[Need]) -> None:
 def _announce(sizes: dict[Need, int]) -> None:
     for need, size in sizes.items():
         place = f" ({need.file})" if need.file else ""
-        messages.print(f"{need.name}{place}: {size / 1e9:.2f} GB; {need.terms}", soft_wrap=True)
-    messages.print(f"{sum(sizes.values()) / 1e9:.2f} GB to fetch")
+        say(f"{need.name}{place}: {size / 1e9:.2f} GB; {need.terms}")
+    say(f"{sum(sizes.values()) / 1e9:.2f} GB to fetch")
 
 
 def _check_room(needed: int) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from a4agent.cli import common
-from a4agent.cli.common import ProfileOption, SetOption, messages
+from a4agent.cli.common import ProfileOption, SetOption, messages, say
 from a4agent.errors import InputError
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ def _run(settings: Settings, samples: dict[str, Path], instruction: str, out: Pa
             progress.advance(task)
     if len(samples) > 1:
         done = len(samples) - failed
-        messages.print(f"{done} of {len(samples)} done, {failed} failed; answers in {out}/", markup=False)
+        say(f"{done} of {len(samples)} done, {failed} failed; answers in {out}/")
     return failed
 
 
@@ -156,7 +156,7 @@ def _tell_in_short(affordance: Affordance, image: Path) -> None:
     from a4agent.overlay import caption_of
 
     status = (f"{affordance.status:8}", "green" if affordance.status == "ok" else "red")
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, emoji=False, soft_wrap=True)
     console.print(Text.assemble(status, f"{image}: {caption_of(affordance)}"))
 
 
@@ -167,7 +167,7 @@ def _tell(affordance: Affordance, folder: Path | None) -> None:
 
     from a4agent.overlay import caption_of
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, emoji=False, soft_wrap=True)
     good = affordance.status == "ok"
     rows: list[tuple[str, str]] = [("part" if good else "answer", caption_of(affordance))]
     if affordance.target and affordance.target.thinking:

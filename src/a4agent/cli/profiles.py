@@ -58,7 +58,7 @@ def _show_all(found: dict[str, Settings]) -> None:
         here = not check_profile(name)
         mark = "[green]●[/]" if here else "[dim]○[/]"
         table.add_row(mark, f"[bold]{name}[/]" if here else name, settings.profile.summary, settings.profile.memory)
-    console = Console(highlight=False)
+    console = Console(highlight=False, emoji=False)
     console.print(table)
     console.print("[dim]● runs here   ○ needs something first: `a4 profiles NAME` says what[/]")
 
@@ -67,7 +67,7 @@ def _show_one(name: str, settings: Settings) -> None:
     from rich.console import Console
     from rich.markup import escape
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, emoji=False, soft_wrap=True)
     info = settings.profile
     console.print(f"[bold]{name}[/]  {escape(info.summary)}")
     for role, spec in settings.expert_specs().items():

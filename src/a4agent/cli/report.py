@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from a4agent.cli.common import messages
+from a4agent.cli.common import say
 
 
 def report(
@@ -23,7 +23,7 @@ def report(
     from a4agent.runs.store import read_run
 
     path = write_report(read_run(run), out)
-    messages.print(f"{path.stat().st_size / 1e6:.1f} MB, opens in any browser:")
+    say(f"{path.stat().st_size / 1e6:.1f} MB, opens in any browser:")
     print(path)
     if show:
         import webbrowser

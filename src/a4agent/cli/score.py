@@ -64,7 +64,7 @@ def score(
     rows = [outcome.row for outcome in outcomes]
     if out is not None:
         write_run(opened_data, masks, out, name=label or masks.path.stem, protocol=protocol)
-        common.messages.print(f"kept as a run in {out}/", soft_wrap=True, highlight=False)
+        common.say(f"kept as a run in {out}/")
     whole = metrics.score(rows, protocol)
     groups = metrics.score_by(rows, [outcome.category for outcome in outcomes], protocol) if by_category else {}
     if as_json:

@@ -60,7 +60,7 @@ def serve(
     app = create_app(_agents(agent, workers), profile=settings.name, limits=limits, token=token)
     guarded = "with a token" if token else "for this machine only"
     place = run.url_of(listening)
-    common.messages.print(f"serving the profile {settings.name!r} at {place} {guarded}; Ctrl+C ends", soft_wrap=True)
+    common.say(f"serving the profile {settings.name!r} at {place} {guarded}; Ctrl+C ends")
     run.run(app, listening, seconds=seconds)
 
 
@@ -78,7 +78,7 @@ def _warm_up(agent: A4Agent) -> None:
     """Make every stage load what it needs, and say so if one cannot."""
     from PIL import Image
 
-    common.messages.print("loading the models …")
+    common.say("loading the models …")
     answer = agent.predict(Image.new("RGB", (640, 480), "grey"), "open the drawer")
     if answer.status == "error":
         common.warn(f"the first prediction failed: {answer.error}")

@@ -41,7 +41,7 @@ def app(
     listening = run.bind(host, port)
     page = create_page(settings, profile=first.name, auth=("a4", token) if token else None)
     url = run.url_of(listening)
-    common.messages.print(f"the page is at {url}; Ctrl+C ends", soft_wrap=True)
+    common.say(f"the page is at {url}; Ctrl+C ends")
     if browser:
         import webbrowser
 
