@@ -108,3 +108,16 @@ def test_a_thing_that_is_not_known_gets_its_usual_part_and_is_said_to_be_so(inst
 )  # fmt: skip
 def test_what_cannot_be_touched_is_still_refused(instruction: str) -> None:
     assert understand(instruction).part_name is None
+
+
+@pytest.mark.parametrize(
+    ("instruction", "because"),
+    [
+        ("fill the cup", "To fill the cup, its inside is used."),
+        ("please turn on the faucet", "To turn on the faucet, its handle is used."),
+        ("scoop ice cream with a spoon", "To scoop, the bowl of the spoon is used."),
+        ("filling the kettle", "To contain, the body of the kettle is used."),
+    ],
+)
+def test_the_reason_is_in_the_speakers_words(instruction: str, because: str) -> None:
+    assert understand(instruction).because == because

@@ -18,7 +18,7 @@ from typing import Any
 
 from a4agent.experts.offline.english import is_english
 from a4agent.experts.offline.knowledge import Knowledge, Mention, Part, Thing, knowledge, stem, words
-from a4agent.experts.offline.wording import first_noun, modifiers, noun_from, plain
+from a4agent.experts.offline.wording import DEFINITE, first_noun, modifiers, noun_from, plain
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ def _with_objects(
         if part:
             return _because(ordered[0], part, "grasp", f"The {ordered[0].name} is held by its {part.name}.")
     if _WHICH_PART.match(" ".join(said[: objects[0].start])):
-        return _asked_about(objects[0].value, verbs)
+        return _asked_about(said, objects[0].value, verbs)
     tool = (_reached_for(said, verbs, know) or _by_verb_alone(verbs, know)) if not tools else None
     for verb in verbs:
         if verb.value == ("grasp",) and verb is not verbs[-1] and _carries_on(said, verb, verbs):
@@ -252,11 +252,12 @@ def _with_objects(
             part = tool[0].part_for(tool[1])
             if part:
                 return _because(tool[0], part, tool[1], f"To {tool[1]} that, one takes a {tool[0].name}.")
-        for thing in ordered:
+        for mention in tools + rest:
+            thing = mention.value
             for action in verb.value:
                 part = thing.part_for(action)
                 if part:
-                    return _because(thing, part, action, f"To {action}, the {part.name} of the {thing.name} is used.")
+                    return _because(thing, part, action, _used_for(said, verb, action, thing, part, mention.start))
     for verb in verbs:
         for action in _instead(said, verb, know):
             part = next((part for thing in ordered if (part := thing.part_for(action))), None)
@@ -284,14 +285,27 @@ def _instead(said: list[str], verb: Mention[tuple[str, ...]], know: Knowledge) -
     return (*(action for action in bare if action in _BY_HAND), *_CLOSE.get(verb.value[0], ()))
 
 
-def _asked_about(thing: Thing, verbs: list[Mention[tuple[str, ...]]]) -> Decision:
+def _asked_about(said: list[str], thing: Thing, verbs: list[Mention[tuple[str, ...]]]) -> Decision:
     """The part of a thing that does something: by its verb, else the first part that is not there to be held."""
-    for action in (action for verb in verbs for action in verb.value):
+    for verb, action in ((verb, action) for verb in verbs for action in verb.value):
         part = thing.part_for(action)
         if part:
-            return _because(thing, part, action, f"To {action}, the {part.name} of the {thing.name} is used.")
+            return _because(thing, part, action, _used_for(said, verb, action, thing, part))
     part = next((part for part in thing.parts if part.affords and "grasp" not in part.affords), thing.parts[0])
     return _because(thing, part, "use", f"The {thing.name} does its work with its {part.name}.")
+
+
+def _used_for(
+    said: list[str], verb: Mention[tuple[str, ...]], action: str, thing: Thing, part: Part, place: int = 0
+) -> str:
+    """Why this part, in the speaker's own verb where it stands as in an order; `place` is where the thing was named."""
+    words = said[verb.start : verb.end]
+    ordered = not verb.start or said[verb.start - 1] in {"to", "i", "you", "we", "and", "please"}
+    if not ordered or words[0].endswith(("ing", "ed")):
+        return f"To {action}, the {part.name} of the {thing.name} is used."
+    if verb.end <= place and set(said[verb.end : place]) <= DEFINITE | {"a", "an"}:
+        return f"To {' '.join(words)} the {thing.name}, its {part.name} is used."
+    return f"To {' '.join(words)}, the {part.name} of the {thing.name} is used."
 
 
 def _carries_on(said: list[str], verb: Mention[tuple[str, ...]], verbs: list[Mention[tuple[str, ...]]]) -> bool:
