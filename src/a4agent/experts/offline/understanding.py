@@ -287,7 +287,7 @@ def _instead(said: list[str], verb: Mention[tuple[str, ...]], know: Knowledge) -
 
 def _asked_about(said: list[str], thing: Thing, verbs: list[Mention[tuple[str, ...]]]) -> Decision:
     """The part of a thing that does something: by its verb, else the first part that is not there to be held."""
-    for verb, action in ((verb, action) for verb in verbs for action in verb.value):
+    for verb, action in ((one, action) for one in verbs for action in one.value):
         part = thing.part_for(action)
         if part:
             return _because(thing, part, action, _used_for(said, verb, action, thing, part))
