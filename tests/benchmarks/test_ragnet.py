@@ -75,5 +75,5 @@ def test_a_frame_elsewhere_is_refused(ragnet_path: Path, frame: str) -> None:
     rows = [{"frame_path": frame, "mask_path": "m.png", "question": "q", "answer": "", "task_object_class": ""}]
     (ragnet_path / "data" / "3doi_easy_reasoning_val.pkl").write_bytes(pickle.dumps(rows))
 
-    with pytest.raises(DataError, match="not inside|leads out of"):
+    with pytest.raises(DataError, match=r"not inside|leads out of"):
         ragnet.create_3doi(ragnet_path)[0]
