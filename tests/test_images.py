@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import io
 import os
+import struct
+import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import Image, ImageOps
 
 from a4agent.errors import InputError
 from a4agent.images import find_images, image_hash, load_image
@@ -25,7 +28,7 @@ def encoded(image: Image.Image, kind: str, **options: object) -> bytes:
     return buffer.getvalue()
 
 
-@pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF"])
+@pytest.mark.parametrize("kind", ["PNG", "JPEG", "MPO", "WEBP", "BMP", "TIFF", "GIF", "PPM"])
 def test_common_formats(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "photo"
     path.write_bytes(encoded(PHOTO, kind))
@@ -60,8 +63,26 @@ def test_palette_transparency_lies_on_white() -> None:
 def test_exif_rotation_is_applied(orientation: int) -> None:
     exif = Image.Exif()
     exif[0x0112] = orientation
-    image = load_image(encoded(PHOTO, "JPEG", exif=exif))
-    assert image.size == ((40, 60) if orientation >= 5 else (60, 40))
+    data = encoded(PHOTO, "PNG", exif=exif)
+    upright = load_image(data)
+    assert np.array_equal(upright, ImageOps.exif_transpose(Image.open(io.BytesIO(data))))
+    assert np.array_equal(load_image(upright), upright)
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "WEBP"])
+def test_broken_exif_spoils_no_photograph(kind: str) -> None:
+    assert load_image(encoded(PHOTO, kind, exif=b"Exif\0\0nothing that can be read")).size == (60, 40)
+    turned, unwritable = struct.pack(">HHII", 0x0112, 3, 1, 6 << 16), struct.pack(">HHII", 0x010E, 5, 1, 8)
+    exif = b"Exif\0\0MM\0*\0\0\0\x08\0\x02" + turned + unwritable + bytes(4)
+    assert load_image(encoded(PHOTO, kind, exif=exif)).size == (40, 60)
+
+
+def test_warnings_and_pillows_limit_are_as_they_were_after_many_threads() -> None:
+    data = encoded(PHOTO, "TIFF")
+    before = (list(warnings.filters), Image.MAX_IMAGE_PIXELS)
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(load_image, [data] * 800))
+    assert (warnings.filters, Image.MAX_IMAGE_PIXELS) == before
 
 
 def test_of_an_animation_the_first_frame() -> None:
@@ -121,6 +142,16 @@ def test_a_limit_above_pillows_own_counts() -> None:
 def test_a_damaged_pil_image_is_refused_like_a_file() -> None:
     with pytest.raises(InputError, match="damaged or cut off"):
         load_image(Image.open(io.BytesIO(encoded(PHOTO, "PNG")[:900])))
+
+
+def test_any_kind_of_path(tmp_path: Path) -> None:
+    class Place:
+        def __fspath__(self) -> str:
+            return str(tmp_path / "photo.png")
+
+    PHOTO.save(tmp_path / "photo.png")
+    for source in (tmp_path / "photo.png", str(tmp_path / "photo.png"), Place()):
+        assert load_image(source).size == (60, 40)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("source", [None, 3, [1, 2]])

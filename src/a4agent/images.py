@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
 import threading
 import warnings
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, cast
 
@@ -22,7 +23,7 @@ MAX_PIXELS = 100_000_000
 SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".gif", ".ppm"})
 FORMATS = ("JPEG", "PNG", "BMP", "GIF", "PPM", "WEBP", "TIFF")
 """Pillow's names of what is decoded, whoever sends it: of its other decoders some are untested or start programs."""
-_LIMIT = threading.Lock()
+_TURN = threading.Lock()
 
 
 class TooManyPixels(InputError):
@@ -48,7 +49,7 @@ def load_image(source: str | Path | bytes | np.ndarray | Image, *, max_pixels: i
         return _from_array(source, max_pixels)
     if isinstance(source, bytes):
         return _from_file(io.BytesIO(source), "the image", len(source), max_pixels)
-    if not isinstance(cast(Any, source), (str, Path)):
+    if not isinstance(cast(Any, source), (str, os.PathLike)):
         raise InputError(f"an image is a path, bytes, an array or a PIL image, not {type(source).__name__}")
     path = Path(source)
     try:
@@ -68,20 +69,31 @@ def load_image(source: str | Path | bytes | np.ndarray | Image, *, max_pixels: i
 def _from_file(file: IO[bytes], name: str, size: int, max_pixels: int) -> Image:
     if size == 0:
         raise InputError(f"{name} is an empty file")
-    with warnings.catch_warnings(), _explained(name):
-        warnings.simplefilter("ignore", UserWarning)  # broken EXIF and the like: the pixels decide
-        with _open(file) as image:
-            return _to_rgb(image, name, max_pixels)
+    with _explained(name), _open(file) as image:
+        return _to_rgb(image, name, max_pixels)
 
 
 def _open(file: IO[bytes]) -> Image:
-    """The picture, not yet decoded. Pillow's own limit of pixels, one for the whole process, gives way to ours."""
+    """The picture, not yet decoded."""
     from PIL import Image
 
-    with _LIMIT:
+    with _reading_headers():
+        return Image.open(file, formats=FORMATS)
+
+
+@contextmanager
+def _reading_headers() -> Generator[None, None, None]:
+    """Without Pillow's own limit of pixels, which gives way to ours, and without its warnings of broken EXIF.
+
+    Limit and warnings belong to the whole process, so threads take turns.
+    """
+    from PIL import Image
+
+    with _TURN, warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
         limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
         try:
-            return Image.open(file, formats=FORMATS)
+            yield
         finally:
             Image.MAX_IMAGE_PIXELS = limit
 
@@ -116,7 +128,7 @@ def _from_array(array: np.ndarray, max_pixels: int) -> Image:
 
 
 def _to_rgb(image: Image, name: str, max_pixels: int) -> Image:
-    from PIL import Image, ImageOps
+    from PIL import Image
 
     width, height = image.size
     if width * height > max_pixels:
@@ -125,7 +137,7 @@ def _to_rgb(image: Image, name: str, max_pixels: int) -> Image:
         )
     if width * height == 0:
         raise InputError(f"{name} has no pixels")
-    upright = ImageOps.exif_transpose(image)
+    upright = _upright(image)
     if upright.mode in ("I", "F") or upright.mode.startswith("I;16"):
         upright = Image.fromarray(_to_8_bit(np.asarray(upright)))
     if upright.mode in ("RGBA", "LA", "PA", "La", "RGBa") or "transparency" in upright.info:
@@ -133,8 +145,35 @@ def _to_rgb(image: Image, name: str, max_pixels: int) -> Image:
         ground = Image.new("RGBA", upright.size, "white")
         upright = Image.alpha_composite(ground, upright)
     rgb = upright.convert("RGB")
-    rgb.load()
-    return rgb if rgb is not image else rgb.copy()
+    rgb.info.clear()  # its EXIF would turn it again
+    return rgb
+
+
+def _upright(image: Image) -> Image:
+    """The picture turned as its EXIF says, if that can be read: whatever else stands there, the pixels decide.
+
+    Pillow's own `exif_transpose` refuses pictures whose other tags it cannot read or write anew.
+    """
+    from PIL import ExifTags
+    from PIL.Image import Transpose
+
+    with _reading_headers() if image.format == "TIFF" else nullcontext():  # its EXIF is read with the pixels
+        image.load()
+    with _reading_headers():
+        try:
+            orientation = image.getexif().get(ExifTags.Base.Orientation, 1)
+        except Exception:  # SyntaxError, struct.error and more
+            return image
+    turn = {
+        2: Transpose.FLIP_LEFT_RIGHT,
+        3: Transpose.ROTATE_180,
+        4: Transpose.FLIP_TOP_BOTTOM,
+        5: Transpose.TRANSPOSE,
+        6: Transpose.ROTATE_270,
+        7: Transpose.TRANSVERSE,
+        8: Transpose.ROTATE_90,
+    }.get(orientation)
+    return image if turn is None else image.transpose(turn)
 
 
 def _to_8_bit(samples: np.ndarray) -> np.ndarray:

@@ -33,7 +33,7 @@ class Desk:
         self.workers = workers
         self.limits = limits
         self.metrics = metrics
-        # One thread decodes: Pillow's warnings are silenced through filters that all threads share.
+        # One thread decodes, so that no more than one request's pictures are being unpacked at a time.
         self._decoder = ThreadPoolExecutor(1, "a4-decoder")
 
     def close(self) -> None:
