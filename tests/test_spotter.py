@@ -95,7 +95,10 @@ def test_masks_of_another_size_are_the_segmenters_failure() -> None:
     "detection",
     [
         found([[0, 0, 9, 9], [1, 1, 5, 5]], scores=np.array([0.5], np.float32)),
+        found([[0, 0, 9, 9]], scores=np.array([0.5, 0.4], np.float32)),
         found([[0, 0, 9, 9], [1, 1, 5, 5]], masks=np.zeros((1, 48, 64), bool)),
+        found([[0, 0, 9, 9]], masks=np.zeros((48, 64), bool)),
+        Detection(np.array([[1, 2, 3, {}]], object)),
         Detection(np.array([1, 2, 3], np.float32)),
     ],
 )
@@ -129,3 +132,7 @@ def test_a_confidence_that_is_no_number_is_no_score() -> None:
     answer = Segmentation(np.ones((1, 1, 48, 64), bool), np.full((1, 1), np.nan, np.float32))
     (region,) = Spotter(ScriptedDetector([found([[0, 0, 9, 9]])]), ScriptedSegmenter([answer])).locate(PHOTO, "x")
     assert region.score is None
+    unsure = found([[0, 0, 9, 9]], scores=[np.nan], masks=[np.ones((48, 64), np.uint8)])
+    (region,) = Spotter(ScriptedDetector([unsure]), None).locate(PHOTO, "x")
+    assert region.score is None
+    assert region.mask.all()

@@ -83,14 +83,18 @@ def _score(value: float) -> float | None:
 def _clean(expert: str, detection: Detection, size_wh: tuple[int, int]) -> Detection:
     """Boxes ordered, clipped and without empty ones, points inside the image; scores and masks follow the boxes."""
     try:
+        count = np.size(detection.boxes_xyxy) // 4
         boxes, kept = geometry.clean_boxes(detection.boxes_xyxy, size_wh)
         points = geometry.clean_points(detection.points_xy, size_wh)
         follow: dict[str, Any] = {}
         if detection.scores is not None:
-            follow["scores"] = np.asarray(detection.scores, np.float32)[kept]
+            follow["scores"] = np.asarray(detection.scores, np.float32).reshape(count)[kept]
         if detection.masks is not None:
-            follow["masks"] = detection.masks[kept]
-    except (ValueError, IndexError) as error:
+            masks = np.asarray(detection.masks)
+            if len(masks) != count:
+                raise ValueError(f"{len(masks)} masks for {count} boxes")
+            follow["masks"] = masks[kept]
+    except (ValueError, TypeError) as error:
         raise ProviderError(f"{expert} returned boxes, points, scores and masks that do not fit: {error}") from error
     return replace(detection, boxes_xyxy=boxes, points_xy=points, **follow)
 
@@ -129,7 +133,7 @@ def _regions_of_masks(expert: str, detection: Detection, size_wh: tuple[int, int
             box_xyxy=box,
             points_xy=detection.points_xy[mask[rows, columns]],
             mask=mask.astype(bool, copy=False),
-            score=None if scores is None else float(scores[i]),
+            score=None if scores is None else _score(scores[i]),
         )
         for i, (box, mask) in enumerate(zip(detection.boxes_xyxy, detection.masks, strict=True))
     )

@@ -47,6 +47,8 @@ def test_png_masks_and_pictures_are_the_same_pixels() -> None:
 @pytest.mark.parametrize("score", [float("nan"), float("inf"), -float("inf")])
 def test_numbers_that_json_does_not_know_are_null(score: float) -> None:
     assert wire.to_wire(affordance(score))["regions"][0]["score"] is None
+    found = Detection(np.zeros((1, 4), np.float32), scores=np.array([score], np.float32))
+    assert wire.stage_to_wire("detection", found, "none")["scores"] == [None]
     with pytest.raises(ValueError, match="JSON"):
         wire.dumps({"score": score})
 

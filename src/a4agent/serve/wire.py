@@ -133,7 +133,7 @@ def stage_to_wire(name: str, value: Any, imagination: PictureForm) -> dict[str, 
     return {
         "boxes_xyxy": _rounded(value.boxes_xyxy),
         "points_xy": _rounded(value.points_xy),
-        "scores": None if value.scores is None else [round(float(score), 4) for score in value.scores],
+        "scores": None if value.scores is None else [_score(score) for score in value.scores],
     }
 
 
@@ -160,6 +160,10 @@ def _png(image: Image) -> str:
     file = io.BytesIO()
     image.save(file, "PNG")
     return base64.b64encode(file.getvalue()).decode("ascii")
+
+
+def _score(score: float) -> float | None:
+    return round(float(score), 4) if math.isfinite(score) else None
 
 
 def _rounded(array: np.ndarray) -> list[Any]:
