@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib.metadata import EntryPoint
 from typing import Any
 
+import numpy as np
 import pytest
 
 from a4agent.errors import ConfigError, UnknownNameError
@@ -54,7 +55,38 @@ def test_an_unknown_setting_suggests_the_nearest() -> None:
 def test_a_value_of_the_wrong_kind_is_explained(settings: dict[str, object], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         registry.create("mine:x", "detector", settings)
-    assert registry.create("mine:x", "detector", {"rate": 2, "name": None, "more": [1]})
+
+
+@pytest.mark.parametrize(
+    "settings", [{"rate": 2}, {"rate": np.float32(2)}, {"size": np.int64(2)}, {"name": None}, {"more": [1]}]
+)
+def test_what_counts_as_the_right_kind_is_taken(settings: dict[str, object]) -> None:
+    assert registry.create("mine:x", "detector", settings)
+
+
+class Provider(ScriptedDetector):
+    size: str = "a setting is named like this, and is no text"
+
+    def __init__(self, model: str, role: str, *, size: int = 3) -> None:
+        super().__init__(max_batch=size)
+
+
+def test_a_class_is_a_factory_by_its_constructor(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(registry.plugins.added, "class", Provider)
+    assert registry.create("class:x", "detector", {"size": 5}).max_batch == 5
+    with pytest.raises(ConfigError, match="a whole number, not 'five'"):
+        registry.create("class:x", "detector", {"size": "five"})
+
+
+def unreadable(model: str, role: NoSuchRole, *, size: int = 3) -> Any:  # type: ignore[name-defined]  # noqa: F821
+    return ScriptedDetector(max_batch=int(size))
+
+
+def test_a_factory_whose_annotations_only_a_type_checker_can_read_checks_for_itself(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(registry.plugins.added, "unreadable", unreadable)
+    assert registry.create("unreadable:x", "detector", {"size": "5"}).max_batch == 5
 
 
 def test_a_role_the_expert_cannot_play_is_refused() -> None:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
+from numbers import Integral, Real
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -26,14 +27,14 @@ from a4agent.plugins import keywords_of as settings_of
 
 VERBS: dict[Role, str] = {"vlm": "chat", "editor": "edit", "detector": "detect", "segmenter": "segment"}
 Factory = Callable[..., Expert]
-PLAIN: dict[Any, str] = {
-    bool: "true or false",
-    int: "a whole number",
-    float: "a number",
-    str: "a text (in quotes if it looks like a number)",
-    NoneType: "",
+PLAIN: dict[Any, tuple[type, str]] = {
+    bool: (bool, "true or false"),
+    int: (Integral, "a whole number"),
+    float: (Real, "a number"),
+    str: (str, "a text (in quotes if it looks like a number)"),
+    NoneType: (NoneType, ""),
 }
-"""The types of settings that are checked here, in words."""
+"""The annotations of settings that are checked here: which values they take, and that in words."""
 
 plugins = Plugins("a4agent.experts", "expert provider", "`a4 models list` shows what there is.")
 
@@ -115,18 +116,18 @@ def create(spec: str, role: Role, settings: Mapping[str, Any] | None = None) -> 
 def _check_values(spec: str, factory: Factory, settings: Mapping[str, Any]) -> None:
     """Hold values to the plain types of a factory's annotations; what else there is, the factory checks."""
     try:
-        hints = get_type_hints(factory)
+        hints = get_type_hints(factory.__init__ if isinstance(factory, type) else factory)
     except Exception:  # annotations of a stranger's that only a type checker can read
         return
     for name, value in settings.items():
         hint = hints.get(name, Any)
         kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
         if all(kind in PLAIN for kind in kinds) and not any(_is_a(value, kind) for kind in kinds):
-            words = " or ".join(PLAIN[kind] for kind in kinds if kind is not NoneType)
+            words = " or ".join(PLAIN[kind][1] for kind in kinds if kind is not NoneType)
             raise ConfigError(f"setting {name!r} of {spec!r} takes {words}, not {value!r}")
 
 
 def _is_a(value: Any, kind: type) -> bool:
-    if isinstance(value, bool):
+    if isinstance(value, bool):  # which Python takes for a whole number
         return kind is bool
-    return isinstance(value, (int, float) if kind is float else kind)
+    return isinstance(value, PLAIN[kind][0])
