@@ -35,3 +35,11 @@ def test_closed_it_lets_in_only_what_is_under_way() -> None:
     assert gate.enter([0, 1]) is True  # sent again, because its actor died
     assert gate.leave([2]) == 2
     assert gate.leave([0, 1]) == 0
+
+
+def test_what_is_under_way_goes_on_also_when_there_is_less_room_than_before() -> None:
+    gate = Gate(room=4)
+    gate.enter([0, 1])
+    gate.enter([2, 3])
+    gate.resize(2)
+    assert gate.enter([0, 1]) is True  # sent again; were all of them to wait, nothing would ever leave

@@ -17,8 +17,10 @@ class Gate:
 
     def enter(self, numbers: list[int]) -> bool | None:
         """Whether these may be begun: yes, no more, or (None) ask again later."""
+        if self._under_way.issuperset(numbers):
+            return True
         if not self._open:
-            return self._under_way.issuperset(numbers)
+            return False
         if self._under_way and len(self._under_way.union(numbers)) > self._room:
             return None
         self._under_way.update(numbers)
