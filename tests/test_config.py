@@ -224,3 +224,16 @@ def test_every_profile_that_ships_fits_its_experts(name: str) -> None:
         except A4Error as error:  # pragma: no cover
             pytest.fail(f"{name}: {role}: {error}")
         assert known is None or set(spec.settings) <= set(known), f"{name}: {role}"
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        ({"image": 5, "image.max_pixels": 3}, "'image.max_pixels' cannot be set beside image = 5"),
+        ({"dreamer": "off", "dreamer.seed": 3}, "'dreamer.seed' cannot be set beside dreamer = 'off'"),
+        ({"thinker": False, "thinker.reasks": 1}, "'thinker.reasks' cannot be set beside thinker = False"),
+    ],
+)
+def test_a_table_that_is_replaced_has_no_settings(profile: Path, overrides: dict[str, object], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        load_settings(profile, overrides, environ={})

@@ -273,8 +273,12 @@ def _nested(dotted: Mapping[str, Any]) -> dict[str, Any]:
 def _put(tree: dict[str, Any], keys: list[str], value: Any) -> None:
     for key in keys[:-1]:
         below = tree.setdefault(key, {})
-        if isinstance(below, str):  # "spotter.segmenter" and then "spotter.segmenter.dtype"
+        if isinstance(below, str) and below not in OFF:  # "spotter.segmenter" and then "spotter.segmenter.dtype"
             below = tree[key] = {"expert": below}
+        if not isinstance(below, dict):
+            raise ConfigError(
+                f"setting {'.'.join(keys)!r} cannot be set beside {key} = {below!r}; leave one of them away"
+            )
         tree = cast("dict[str, Any]", below)
     last = keys[-1]
     if isinstance(value, str) and value not in OFF and isinstance(tree.get(last), dict):
@@ -286,7 +290,7 @@ def _overlay(base: dict[str, Any], layer: Mapping[str, Any]) -> None:
     """Lay `layer` over `base`: tables merge, everything else replaces; "off" and False switch a table off."""
     for key, value in layer.items():
         below = base.get(key)
-        if value in OFF and (key in STAGES or key == "segmenter"):
+        if (key in STAGES or key == "segmenter") and value in OFF:
             base[key] = None
         elif isinstance(value, Mapping):
             if isinstance(below, str):
