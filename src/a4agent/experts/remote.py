@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
@@ -108,4 +109,4 @@ def fields_from_setting(extra: Any) -> dict[str, Any]:
 
 def _count(usage: Any, *names: str) -> int:
     values = (getattr(usage, name, None) for name in names)
-    return next((int(value) for value in values if isinstance(value, (int, float)) and value > 0), 0)
+    return next((int(value) for value in values if isinstance(value, (int, float)) and 0 < value < math.inf), 0)
