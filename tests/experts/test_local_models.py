@@ -19,7 +19,7 @@ from a4agent.errors import (
 )
 from a4agent.experts import local_models, sam2
 from a4agent.experts.checkpoints import find_checkpoint
-from a4agent.experts.local_models import LocalExpert, Placement, load_pretrained, place
+from a4agent.experts.local_models import QUANTISE, LocalExpert, Placement, load_pretrained, place
 
 torch = pytest.importorskip("torch")
 
@@ -42,10 +42,11 @@ def test_importing_the_experts_imports_no_framework():
 class Counter(LocalExpert):
     """Answers with the number of requests in the batch; more than `fits` of them do not fit."""
 
-    shrinking = ("quantisation = '4bit'",)
+    shrinking = (QUANTISE,)
 
-    def __init__(self, checkpoint, fits=8, error=None, **options):
-        super().__init__("test:counter", checkpoint, Placement("cpu", "float32"), settings={}, **options)
+    def __init__(self, checkpoint, fits=8, error=None, quantisation="none", **options):
+        placement = Placement("cpu", "float32", quantisation=quantisation)
+        super().__init__("test:counter", checkpoint, placement, settings={}, **options)
         self.fits, self.error, self.batches = fits, error, []
 
     def _load(self):
@@ -96,6 +97,16 @@ def test_one_request_that_does_not_fit_spoils_no_other(checkpoint):
     assert "Tried to allocate 3 GiB" in str(answers[0])
     expert.fits = 1
     assert expert.answer("abc") == ["a of 1", "b of 1", "c of 1"]
+
+
+@pytest.mark.parametrize(("quantisation", "advised"), [("none", True), ("8bit", True), ("4bit", False)])
+def test_what_is_in_use_already_is_not_advised(checkpoint, monkeypatch, quantisation, advised):
+    expert = Counter(checkpoint, fits=0, quantisation=quantisation)
+    assert ("quantisation = '4bit'" in str(expert.answer("a")[0])) is advised
+    monkeypatch.setattr(local_models, "free_bytes", lambda device: 0)
+    with pytest.raises(ResourceError) as told:
+        local_models.check_fits(checkpoint.folder, expert.placement, shrinking=expert.shrinking)
+    assert ("quantisation = '4bit'" in str(told.value)) is advised
 
 
 def test_requests_that_differ_share_no_batch_and_keep_their_order(checkpoint):

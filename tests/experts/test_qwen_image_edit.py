@@ -216,3 +216,12 @@ def test_a_lora_of_another_model_is_a_files_error(tiny_qwen_image_edit, tiny_sam
     )
     with pytest.raises(ModelFilesError, match="cannot be loaded"):
         editor.load()
+
+
+@pytest.mark.parametrize(
+    ("offload", "advice"),
+    [("none", "offload = 'model'"), ("model", "offload = 'sequential'"), ("sequential", "quanti")],
+)
+def test_what_needs_less_memory_than_now_is_advised(editor, offload, advice):
+    other = qwen_image_edit.QwenImageEdit("x", editor.checkpoint, editor.placement, settings={}, offload=offload)
+    assert other.shrinking[0].startswith(advice)

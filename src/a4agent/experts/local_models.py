@@ -16,7 +16,7 @@ from collections.abc import Callable, Generator, Hashable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 from a4agent.errors import (
     A4Error,
@@ -135,13 +135,16 @@ def check_fits(folder: Path, placement: Placement, *, largest_part: float = 1.0,
     free = free_bytes(placement.device)
     if needed <= free:
         return
-    settings = [way for way in shrinking if way != QUANTISE or placement.quantisation == "none"]
-    ways = ["a smaller model", *settings, "another device"]
+    ways = ["a smaller model", *_applicable(shrinking, placement), "another device"]
     raise ResourceError(
         f"the weights of {str(folder)!r} need {_gb(needed)} GB as {placement.dtype}"
         f"{'' if placement.quantisation == 'none' else ' in ' + placement.quantisation} and {_gb(free)} GB are free "
         f"on {placement.device!r}: choose {', '.join(ways[:-1])} or {ways[-1]}"
     )
+
+
+def _applicable(shrinking: Sequence[str], placement: Placement) -> list[str]:
+    return [way for way in shrinking if way != QUANTISE or placement.quantisation != "4bit"]
 
 
 def load_pretrained(cls: Any, checkpoint: Checkpoint, placement: Placement, shrinking: Sequence[str] = ()) -> Any:
@@ -241,7 +244,7 @@ class LocalExpert(ExpertBase):
     settings with which it needs less memory.
     """
 
-    shrinking: ClassVar[tuple[str, ...]] = ()
+    shrinking: tuple[str, ...] = ()
 
     def __init__(
         self, id: str, checkpoint: Checkpoint, placement: Placement, *, settings: Mapping[str, Any], max_batch: int = 1
@@ -334,7 +337,8 @@ class LocalExpert(ExpertBase):
         return [
             OutOfMemory(
                 f"{self.id} ran out of memory on one request ({reason}): use "
-                f"{', '.join(['a smaller image', *self.shrinking])} or a device with more memory"
+                f"{', '.join(['a smaller image', *_applicable(self.shrinking, self.placement)])}"
+                " or a device with more memory"
             )
         ]
 

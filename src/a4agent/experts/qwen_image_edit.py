@@ -30,7 +30,8 @@ from a4agent.experts.local_models import (
 )
 
 STEPS, TRUE_CFG_SCALE, NEGATIVE_PROMPT = 30, 4.0, " "
-OFFLOADS = ("none", "model", "sequential")
+OFFLOADS = {"none": ("offload = 'model'",), "model": ("offload = 'sequential'",), "sequential": ()}
+"""What may be offloaded, and the setting that needs still less memory."""
 QUANTISED_PARTS = ["transformer", "text_encoder"]
 
 LIGHTNING_LORAS = {
@@ -130,8 +131,6 @@ def create(
 class QwenImageEdit(LocalExpert):
     """Edits one picture at a time: the pipeline takes no batches of prompts."""
 
-    shrinking = ("offload = 'model'", QUANTISE)
-
     def __init__(
         self,
         id: str,
@@ -143,6 +142,7 @@ class QwenImageEdit(LocalExpert):
         lora: str | None = None,
     ) -> None:
         super().__init__(id, checkpoint, placement, settings=settings, max_batch=1)
+        self.shrinking = (*OFFLOADS[offload], QUANTISE)
         self._offload = offload
         self._lora = lora
         self._pipeline: Any = None
@@ -180,7 +180,7 @@ class QwenImageEdit(LocalExpert):
                 pipeline.to(self.placement.device)
         except Exception as error:
             if is_out_of_memory(error):
-                raise ResourceError(f"{str(folder)!r} does not fit: {error}; set offload = 'model'") from error
+                raise ResourceError(f"{str(folder)!r} does not fit: {error}; set {self.shrinking[0]}") from error
             raise ModelFilesError(f"{str(folder)!r} cannot be loaded by diffusers: {str(error)[:300]}") from error
         self._pipeline = pipeline
 
@@ -193,8 +193,7 @@ class QwenImageEdit(LocalExpert):
             check_fits(folder, self.placement, shrinking=self.shrinking)
         elif self._offload == "model":
             parts = [parameter_count(part) for part in folder.iterdir() if part.is_dir()]
-            largest = max(parts) / sum(parts)
-            check_fits(folder, self.placement, largest_part=largest, shrinking=("offload = 'sequential'", QUANTISE))
+            check_fits(folder, self.placement, largest_part=max(parts) / sum(parts), shrinking=self.shrinking)
 
     def _edit(self, requests: Sequence[EditRequest]) -> list[EditAnswer]:
         return [self._edit_one(request) for request in requests]
