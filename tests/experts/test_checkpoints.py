@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from a4agent.errors import ModelFilesError
+from a4agent.experts import hub
 from a4agent.experts.checkpoints import find_checkpoint, find_file, parameter_count
 
 HEADER = {"a": {"dtype": "F32", "shape": [3, 5], "data_offsets": [0, 60]}, "__metadata__": {"format": "pt"}}
@@ -51,6 +52,22 @@ def test_the_digest_of_a_folder_follows_its_weights_and_settings_and_not_its_pla
         (tmp_path / "b" / "vocab.json").write_text(found)
         fourth, fifth = find_checkpoint(str(tmp_path / "b")), fourth
     assert fourth.revision != fifth.revision
+
+
+def test_a_folder_named_like_a_file_is_no_part_of_the_digest(tmp_path):
+    folder = write_checkpoint(tmp_path / "a")
+    revision = find_checkpoint(str(folder)).revision
+    (folder / "old.model").mkdir()
+    assert find_checkpoint(str(folder)).revision == revision
+
+
+def test_a_repository_without_weights_is_not_fetched_for_ever(tmp_path, monkeypatch):
+    folder = write_checkpoint(tmp_path / "0123456789")
+    (folder / "model.safetensors").rename(folder / "model.gguf")
+    monkeypatch.setattr(hub, "cached", lambda *_: None)
+    monkeypatch.setattr(hub, "fetch", lambda *_: folder)
+    with pytest.raises(ModelFilesError, match=r"no \.safetensors files, in .*choose another model"):
+        find_checkpoint("somebody/gguf")
 
 
 def test_another_architecture_is_named(tmp_path):

@@ -28,6 +28,13 @@ def test_what_is_not_cached_is_none():
     assert hub.cached(NAME, file="a/b.safetensors") is None
 
 
+@pytest.mark.parametrize("file", ["", "a.safetensors"])
+def test_a_name_that_no_repository_can_have_is_told(file):
+    pytest.importorskip("huggingface_hub")
+    with pytest.raises(ModelFilesError, match=r"'owner/a\.\.b' is no name of a model: "):
+        hub.cached("owner/a..b", file=file)
+
+
 @pytest.mark.parametrize("ask", [hub.reach, hub.fetch, hub.download_bytes])
 def test_offline_nothing_is_asked(ask):
     pytest.importorskip("huggingface_hub")

@@ -99,3 +99,9 @@ def test_contents_are_compared_with_the_name_the_cache_gave_them(tmp_path):
     large.write_bytes(WEIGHTS[:-1] + b"\x01")
     assert len(damage_in(snapshot)) == 2
     assert damage_in(snapshot, contents=False) == []
+
+
+def test_a_link_to_weights_that_are_gone_is_no_file(folder):
+    (folder / "model.safetensors").unlink()
+    (folder / "model.safetensors").symlink_to(folder / "gone")
+    assert damage_in(folder) == ["there are no .safetensors files"]

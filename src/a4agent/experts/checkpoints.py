@@ -67,9 +67,8 @@ def find_checkpoint(model: str, *, kinds: Sequence[str] = (), revision: str | No
     missing = missing_files(folder)
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-        raise ModelFilesError(
-            f"{model!r} is not complete: {missing[0]}{more}, in {str(folder)!r}; fetch its files again"
-        )
+        remedy = "its repository has no more: choose another model" if commit else "fetch its files again"
+        raise ModelFilesError(f"{model!r} is not complete: {missing[0]}{more}, in {str(folder)!r}; {remedy}")
     return Checkpoint(folder, commit or digest_of(folder), kind)
 
 
@@ -126,8 +125,8 @@ def _kind(model: str, folder: Path) -> str:
 def digest_of(path: Path) -> str:
     """A digest of a user's folder or file: all its settings, and samples of its weights (milliseconds for any size)."""
     digest = hashlib.sha256()
-    files = sorted(file for file in path.rglob("*") if file.suffix in _READ) if path.is_dir() else [path]
-    for file in files:
+    read = (file for file in sorted(path.rglob("*")) if file.suffix in _READ and file.is_file())
+    for file in read if path.is_dir() else [path]:
         size = file.stat().st_size
         digest.update(f"{file.relative_to(path).as_posix()} {size}\n".encode())
         with file.open("rb") as stream:

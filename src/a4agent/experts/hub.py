@@ -36,17 +36,23 @@ def reference(name: str, revision: str | None = None, file: str = "") -> str:
 
 
 def cached(name: str, revision: str | None = None, file: str = "") -> Path | None:
-    """The complete snapshot of OWNER/NAME on this disk, or one file of it; None if it is not there. No network."""
+    """The complete snapshot of OWNER/NAME on this disk, or one file of it; None if it is not there. No network.
+
+    Raises:
+        ModelFilesError: no repository can have this name.
+    """
     if importlib.util.find_spec("huggingface_hub") is None:
         return None
     hub, errors = _hub()
-    if file:
-        found = hub.try_to_load_from_cache(name, file, revision=revision)
-        return Path(found) if isinstance(found, str) else None
     try:
+        if file:
+            found = hub.try_to_load_from_cache(name, file, revision=revision)
+            return Path(found) if isinstance(found, str) else None
         folder = hub.snapshot_download(name, revision=revision, allow_patterns=PATTERNS, local_files_only=True)
     except errors.LocalEntryNotFoundError:
         return None
+    except errors.HFValidationError as error:
+        raise ModelFilesError(f"{name!r} is no name of a model: {_first_line(error)}") from error
     # Of a snapshot that another program began, or an older client, the hub's client cannot tell whether it is whole.
     return None if missing_files(Path(folder)) else Path(folder)
 

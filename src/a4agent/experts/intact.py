@@ -68,7 +68,7 @@ def missing_files(folder: Path) -> list[str]:
 
 
 def _has_weights(folder: Path) -> bool:
-    return any(any(folder.rglob(pattern)) for pattern in ("*.safetensors", "pytorch_model*.bin"))
+    return any(file.is_file() for pattern in ("*.safetensors", "pytorch_model*.bin") for file in folder.rglob(pattern))
 
 
 def _parts_of_pipeline(folder: Path) -> list[str]:
