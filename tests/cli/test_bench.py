@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -162,6 +163,10 @@ def test_a_suite_has_one_budget(a4: Type) -> None:
     assert "engine.max_seconds = 1e-06 is" in a4(*suite[:-1], "--max-seconds", "1e-6")[2], "as it was given"
     a4(*suite, "0.2")
     assert sum(record.cost for run in Path("runs").iterdir() for record in read_run(run).records.values()) <= 0.3
+    shutil.rmtree("runs")
+    _, _, err = a4(*suite, "0.2")
+    assert "engine.max_cost = 0 dollars" in err, "what floats leave of the budget pays for nothing"
+    assert "the suite has one budget; used of it were $0.2000 and " in err
 
 
 def test_data_without_samples_is_a_mistake(a4: Type) -> None:

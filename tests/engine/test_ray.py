@@ -272,6 +272,13 @@ def test_a_budget_of_money_is_kept(settings: Settings, queries: list[Query]) -> 
 
 
 @pytest.mark.usefixtures("_in_process")
+def test_no_money_begins_no_sample(settings: Settings, queries: list[Query], tmp_path: Path) -> None:
+    with pytest.raises(BudgetExceeded, match="max_cost = 0 "):
+        next(engine_ray.run(limited(settings, max_cost=0.0), queries))
+    assert calls(tmp_path) == []
+
+
+@pytest.mark.usefixtures("_in_process")
 @pytest.mark.parametrize("limits", [{"max_cost": 0.6}, {"max_seconds": 0.01}])
 def test_a_budget_that_refused_nothing_stops_nothing(
     settings: Settings, queries: list[Query], limits: dict[str, float]

@@ -128,6 +128,8 @@ def _run_all(systems: Sequence[Sequence[Bench]], as_json: bool) -> tuple[list[Ru
                     runs += [ended.run] if ended.run.records else []
                     cost, seconds = cost + ended.cost, seconds + time.monotonic() - started
                     worst = max(worst, ended.code)
+                    if isinstance(ended.stopped, BudgetExceeded) and work is not systems[0][0]:
+                        common.say(f"the suite has one budget; used of it were ${cost:.4f} and {seconds:.0f} s")
                     if isinstance(ended.stopped, KeyboardInterrupt | BudgetExceeded):
                         return runs, ended.code
         except A4Error as error:
@@ -141,7 +143,7 @@ def _within(work: Bench, cost: float, seconds: float) -> Bench:
     """The same with what is left of its budget after so many US dollars and seconds."""
     limits = work.settings.engine
     left = {
-        name: max(limit - used, 0.0)
+        name: max(round(limit - used, 9), 0.0)  # what floats leave of 0.1 + 0.2 - 0.3 would pay for a sample
         for name, limit, used in (("max_cost", limits.max_cost, cost), ("max_seconds", limits.max_seconds, seconds))
         if limit is not None and used
     }

@@ -86,8 +86,10 @@ def run(
     rows = [_Row(number, query, (given and given(query)) or Given()) for number, query in enumerate(queries)]
     if not rows:
         return
+    room, limits = _Room.of(pools), settings.engine
+    if limits.max_cost == 0:
+        raise _used_up(0.0, Stats(), 0.0, room.least)
     with _connected(ray, pools), Stop() as stop:
-        room, limits = _Room.of(pools), settings.engine
         gate = SharedGate(room.most if limits.max_cost is None else room.least)  # until it is known what a sample costs
         with _watched(stop, gate, limits.max_seconds):
             dataset = _dataset(settings, rows, pools, gate)
