@@ -7,6 +7,7 @@ its commands are parsed, its profiles and settings resolved, its Python compiled
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
@@ -27,7 +28,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"(<!-- needs: (?P<needs>[^>]*) -->\s*)?^```(?P<kind>\w+)[^\n]*\n(?P<text>.*?)^```", re.M | re.S)
 LANGUAGES = {"bash", "python", "toml", "text", "json", "mermaid"}
-RUN_ELSEWHERE = {"make", "pip", "git", "cd", "export", "apt-get", "vllm", "ray", "docker"}
+RUN_ELSEWHERE = {"make", "python3", "source", "pip", "git", "cd", "export", "apt-get", "vllm", "ray", "docker"}
 """Commands that set a machine up; what they name is looked up instead of run."""
 
 
@@ -67,6 +68,8 @@ def test_a_page_runs(page: Path, work: Path, home: Path) -> None:
     for block in blocks(page):
         if block.kind == "toml":
             toml.loads(block.text)
+        elif block.kind == "json":
+            json.loads(block.text)
         elif block.kind == "python":
             compile(block.text, str(page), "exec")
             if block.needs is None:
@@ -151,6 +154,27 @@ def test_links_between_files_lead_somewhere() -> None:
         for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8")):
             if "://" not in target and not target.startswith("mailto:"):
                 assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_a_run_folder_is_of_one_configuration_on_all_pages() -> None:
+    """A reader follows the pages in one folder, and a run folder refuses a second configuration."""
+    configurations: dict[str, str] = {}
+    for page in PAGES:
+        for command in (c for block in blocks(page) if block.kind == "bash" for c in commands(block.text)):
+            if command.startswith("a4 bench") and (out := re.search(r" --out (\S+)", command)):
+                asked = command.replace(out[0], "")
+                assert configurations.setdefault(out[1], asked) == asked, f"{page.name}: {out[1]}"
+
+
+def test_every_requirement_is_accounted_for() -> None:
+    project = toml.loads((ROOT / "pyproject.toml").read_text())["project"]
+    requirements = [
+        *project["dependencies"],
+        *(one for extra in project["optional-dependencies"].values() for one in extra),
+    ]
+    text = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
+    for name in {re.match(r"[\w-]+(\[\w+\])?", one)[0] for one in requirements if not one.startswith("a4agent[")}:
+        assert re.search(rf"(?<![\w-]){re.escape(name)}(?![\w-])", text), name
 
 
 def test_nothing_points_out_of_the_project() -> None:
