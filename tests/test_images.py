@@ -73,8 +73,16 @@ def test_exif_rotation_is_applied(orientation: int) -> None:
 def test_broken_exif_spoils_no_photograph(kind: str) -> None:
     assert load_image(encoded(PHOTO, kind, exif=b"Exif\0\0nothing that can be read")).size == (60, 40)
     turned, unwritable = struct.pack(">HHII", 0x0112, 3, 1, 6 << 16), struct.pack(">HHII", 0x010E, 5, 1, 8)
-    exif = b"Exif\0\0MM\0*\0\0\0\x08\0\x02" + turned + unwritable + bytes(4)
-    assert load_image(encoded(PHOTO, kind, exif=exif)).size == (40, 60)
+    for count, end in ((2, bytes(4)), (3, b"")):
+        exif = b"Exif\0\0MM\0*\0\0\0\x08" + struct.pack(">H", count) + turned + unwritable + end
+        assert load_image(encoded(PHOTO, kind, exif=exif)).size == (40, 60)
+
+
+def test_a_tiff_with_a_tag_too_long_is_read() -> None:
+    one, two = struct.pack("<HHI", 0x0112, 3, 1), struct.pack("<HHI", 0x0112, 3, 2)
+    data = encoded(PHOTO, "TIFF", tiffinfo={0x0112: 1})
+    assert one in data
+    assert load_image(data.replace(one, two)).size == (60, 40)
 
 
 def test_warnings_and_pillows_limit_are_as_they_were_after_many_threads() -> None:

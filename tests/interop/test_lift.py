@@ -113,6 +113,8 @@ def test_a_key_point_outside_the_picture_is_not_measured(point: list[float]) -> 
 def test_a_camera_that_was_never_calibrated_is_refused() -> None:
     with pytest.raises(InputError, match="calibrate"):
         lift(affordance(bar()), np.ones((HEIGHT, WIDTH)), np.zeros((3, 3)))
+    with pytest.raises(InputError, match="calibrate"):
+        Intrinsics(500.0, float("nan"), 80.0, 60.0)
 
 
 def test_millimetres_need_their_scale() -> None:

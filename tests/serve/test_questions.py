@@ -70,6 +70,9 @@ def test_a_batch_keeps_the_place_of_a_picture_that_cannot_be_used() -> None:
 def test_many_large_pictures_do_not_add_up_in_a_batch() -> None:
     limits = Limits(pixels=64 * 48, batch=9)
     samples = [openapi.example()] * 5 + [{**openapi.example(), "image": "AAAA"}]
+    (large,) = questions.batch_from_json(json.dumps({"samples": samples[:1]}).encode(), Limits(pixels=64 * 48 - 1))
+    assert isinstance(large, Unusable)
+    assert large.reason == "InputError: image: more than 3071 pixels; send it smaller"
     *fit, over, broken = questions.batch_from_json(json.dumps({"samples": samples}).encode(), limits)
     assert [type(one) for one in fit] == [Question] * 4
     assert isinstance(over, Unusable)
