@@ -83,6 +83,15 @@ def test_the_longest_unused_go_when_it_is_full(tmp_path: Path) -> None:
     assert cache.info().entries >= 10
 
 
+def test_nothing_goes_before_it_is_full(tmp_path: Path) -> None:
+    cache = Cache(tmp_path)
+    for number in range(20):
+        cache.put(name(number), answer(number))
+    nearly = Cache(tmp_path, limit_bytes=cache.info().bytes * 1.08)
+    nearly.put(name(20), answer(20))  # the first one counts what is there
+    assert cache.info().entries == 21
+
+
 def test_what_killed_writers_left_goes_in_time(tmp_path: Path) -> None:
     cache = Cache(tmp_path)
     cache.put(name(1), answer(1))

@@ -90,7 +90,7 @@ def _settings() -> str:
 
 
 def _free_disk_gb() -> float | None:
-    """Where models are fetched to."""
+    """Of the home folder, where models go unless HF_HOME moves them; None if there is no home."""
     try:
         return round(shutil.disk_usage(Path.home()).free / 1e9, 1)
     except (OSError, RuntimeError):
