@@ -90,6 +90,14 @@ def test_a_label_says_what_stands_in_by_the_truth() -> None:
     assert Manifest({"oracle": "detector"}, {"profile": "paper", "label": "A"}).label == "A, detector by the truth"
 
 
+def test_all_labels_of_a_configuration_are_kept() -> None:
+    manifest = Manifest({}, {"profile": "mine", "label": "first"})
+    assert (Manifest({}).labels, manifest.labels) == ((), ("first",))
+    for label in ("second", "first", ""):
+        manifest = Manifest({}, {"profile": "mine", "label": label}).taking_up(manifest)
+    assert (manifest.label, manifest.labels) == ("first", ("first", "second"))
+
+
 def test_differences_are_named_by_their_place() -> None:
     assert differences({"a": {"b": 1}, "c": [1, 2]}, {"a": {"b": 2}, "c": [1, 2]}) == ["a.b: 1 there, 2 here"]
     assert differences({"a": [{"id": "x"}]}, {"a": [{"id": "y"}]}) == ["a[0].id: 'x' there, 'y' here"]

@@ -120,7 +120,6 @@ class Bench:
             about={
                 "profile": self.settings.name,
                 "label": self.label,
-                "labels": [self.label] if self.label else [],
                 "data": str(self.benchmark.root),
                 "licence": self.benchmark.licence,
                 "settings": settings_told(self.settings),

@@ -71,7 +71,7 @@ def write_run(
             "prompts": {},
             "predictions": predictions.digest(),
         },
-        about={"label": name, "labels": [name], "data": str(benchmark.root), "licence": benchmark.licence},
+        about={"label": name, "data": str(benchmark.root), "licence": benchmark.licence},
     )
     with RunWriter(folder, manifest) as writer:
         wanted = (sample for sample in benchmark if writer.wants(sample.id))

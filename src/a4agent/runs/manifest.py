@@ -9,11 +9,11 @@
        "experts": [{"id": "sam2:tiny", "revision": "", "settings": {...}}],
        "prompts": {"thinker": "8d0b2f..."}
      },
-     "about": {"profile": "paper", "label": "A4-Agent", "labels": ["A4-Agent"], "data": "/data/umd", ...},
+     "about": {"profile": "paper", "label": "A4-Agent", "data": "/data/umd", "licence": "...", ...},
      "sessions": [{"started": "2026-11-22T07:40:00+00:00", "command": "a4 bench ...", "versions": {...}, "git": {...}}]
     }
 
-A folder holds one identity; every start on it adds a session.
+A folder holds one identity; every start on it adds a session, and a new label to "labels" in "about".
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Manifest:
     @property
     def labels(self) -> tuple[str, ...]:
         """All names that tables gave this configuration; one may be a row of several."""
-        return tuple(self.about.get("labels") or ())
+        return tuple(self.about.get("labels") or filter(None, [self.about.get("label")]))
 
     def taking_up(self, there: Manifest) -> Manifest:
         """This manifest with the sessions and the names of the one that is `there`, of the same configuration."""
