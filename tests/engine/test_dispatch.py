@@ -219,6 +219,23 @@ def test_a_preparation_that_hangs_does_not_block_the_segmenter_for_good(make: Ma
     release.set()
 
 
+@pytest.mark.parametrize("error", [ValueError("no picture"), Panic("index out of bounds")])
+def test_a_preparation_that_fails_leaves_the_segmentation_as_it_is(make: Make, error: BaseException) -> None:
+    class Failing(SlowSegmenter):
+        def prepare(self, images: Sequence[Image.Image]) -> None:
+            super().prepare(images)
+            raise error
+
+    segmenter = Failing()
+    segmenter.gate.set()
+    dispatcher = make(segmenter)
+    dispatcher.prepare(PHOTO)
+    until(lambda: segmenter.done == [8])
+    job = Job(SegmentRequest(PHOTO, ()))
+    dispatcher.submit(job)
+    until(lambda: job.settled)
+
+
 def test_an_overdue_call_is_given_up_and_its_slot_used_again_only_later(make: Make) -> None:
     release = threading.Event()
 
