@@ -187,8 +187,9 @@ def _call(step: Step) -> str:
     tokens = f"{step.tokens_in} + {step.tokens_out}" if step.tokens_in or step.tokens_out else ""
     cost = "" if step.cost is None else f"${step.cost:.4f}"
     note = " (from the cache)" if step.cached else f" (failed: {step.error})" if step.error else ""
-    cells = (f"{step.stage}: {step.role}", step.expert + note, f"{step.seconds:.2f}", tokens, cost)
-    return f"<tr>{''.join(f'<td>{text(cell)}</td>' for cell in cells)}</tr>"
+    model = text(step.expert).replace(":", ":<wbr>") + text(note)
+    cells = (text(f"{step.stage}: {step.role}"), model, f"{step.seconds:.2f}", tokens, text(cost))
+    return f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
 
 
 def _counted(count: int, one: str, many: str) -> str:
