@@ -184,6 +184,14 @@ def test_a_busy_server_is_asked_again_when_it_says(photo: bytes) -> None:
         assert caught.value.retry_after is not None
 
 
+@pytest.mark.parametrize(
+    ("header", "seconds"),
+    [("2.5", 2.5), ("0", 0.0), (None, None), ("soon", None), ("nan", None), ("inf", None), ("-1", None)],
+)
+def test_only_a_number_of_seconds_is_waited_for(header: str | None, seconds: float | None) -> None:
+    assert client._seconds(header) == seconds
+
+
 def test_a_server_that_is_away_comes_back() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
@@ -194,12 +202,13 @@ def test_a_server_that_is_away_comes_back() -> None:
     assert caught.value.status == 0
 
 
-def test_a_stream_that_breaks_is_an_error_not_an_end(photo: bytes) -> None:
+@pytest.mark.parametrize("cut", ["", 'event: affordance\ndata: {"schema"'])
+def test_a_stream_that_breaks_is_an_error_not_an_end(cut: str, photo: bytes) -> None:
     def half(listener: socket.socket) -> None:
         connection, _ = listener.accept()
         connection.recv(100_000)
         connection.sendall(b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\nConnection: close\r\n\r\n")
-        connection.sendall(b'event: queued\ndata: {"position":0}\n\n')
+        connection.sendall(b'event: queued\ndata: {"position":0}\n\n' + cut.encode())
         connection.close()
 
     with socket.create_server(("127.0.0.1", 0)) as listener:

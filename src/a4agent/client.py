@@ -18,6 +18,7 @@ from __future__ import annotations
 import base64
 import http.client
 import json
+import math
 import socket
 import ssl
 import struct
@@ -252,7 +253,7 @@ class Client:
                     if name == "affordance":
                         return
             raise ServerError(f"{self.url} ended the stream without an answer")
-        except (OSError, http.client.HTTPException) as error:
+        except (OSError, http.client.HTTPException, ValueError) as error:
             raise ServerError(f"the connection to {self.url} broke: {error!r}") from error
         finally:
             connection.close()
@@ -383,7 +384,9 @@ def _sentence(text: str, status: int) -> str:
 
 
 def _seconds(text: str | None) -> float | None:
+    """The pause that a Retry-After asks for; None for a date, or what is no number of seconds."""
     try:
-        return None if text is None else max(float(text), 0.0)
+        seconds = float(text or "")
     except ValueError:
         return None
+    return seconds if 0 <= seconds < math.inf else None
