@@ -15,7 +15,6 @@ Protocols are data (`PROTOCOLS`): `strict` is ours, the others do what the peers
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
@@ -366,12 +365,12 @@ def _resample(table: np.ndarray, resamples: int, seed: int) -> np.ndarray:
 
 def _intervals(measures: np.ndarray) -> dict[str, tuple[float, float]]:
     """The middle 95 % of each measure over resamples (k, 4)."""
-    if not len(measures):
-        return dict.fromkeys(MEASURES, (math.nan, math.nan))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a measure that the protocol does not define is all NaN
-        low, high = np.nanpercentile(measures, [2.5, 97.5], axis=0)
-    return {name: (float(low[i]), float(high[i])) for i, name in enumerate(MEASURES)}
+    intervals: dict[str, tuple[float, float]] = {}
+    for name, values in zip(MEASURES, measures.T, strict=True):
+        defined = values[~np.isnan(values)]
+        low, high = np.percentile(defined, [2.5, 97.5]) if len(defined) else (math.nan, math.nan)
+        intervals[name] = (float(low), float(high))
+    return intervals
 
 
 def _blank_prediction(row: Row) -> bool:
