@@ -20,6 +20,7 @@ demo: .venv/.demo
 	@$(BIN)/a4 predict examples/coffee.jpg "fill the cup" --profile offline --out out/demo
 	@echo 'a scene of the simulator benchmark: a4 predict examples/sim/images/0001-mug.jpg "pick up the mug by its handle"'
 	@$(BIN)/a4 predict examples/sim/images/0001-mug.jpg "pick up the mug by its handle" --profile offline --out out/demo
+	@echo 'to go on: source .venv/bin/activate'
 
 test: .venv/.test system check
 
@@ -49,16 +50,18 @@ system:
 	$(PYTHON) -m venv .venv
 
 .venv/.demo: .venv/pyvenv.cfg pyproject.toml
+	@echo 'setting up .venv, once: about 150 MB from the package index'
 	$(PIP) -e '.[offline]'
 	$(NETWORK)
 	@touch $@
 
 .venv/.test: .venv/pyvenv.cfg pyproject.toml
-	$(PIP) '$(TORCH)'
+	@echo 'setting up .venv for the checks, once: some gigabytes from the package index'
+	$(PIP) $(TORCH)
 	$(PIP) -e '.[all,test]'
 	$(NETWORK)
 	$(PIP) --no-deps $(SIM_ASSETS)
-	$(PIP) --no-deps --target .venv/torchvision '$(TORCHVISION)'
+	$(PIP) --no-deps --target .venv/torchvision $(TORCHVISION)
 	@touch $@ .venv/.demo
 
 clean:

@@ -18,7 +18,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "offline": ("onnxruntime", "cv2"),
     "api": ("openai",),
     "local": ("torch", "transformers", "diffusers", "accelerate"),
-    "bench": ("datasets", "pyarrow", "jinja2"),
+    "bench": ("datasets", "pyarrow"),
     "serve": ("fastapi", "uvicorn", "multipart", "prometheus_client"),
     "app": ("gradio",),
     "ray": ("ray",),

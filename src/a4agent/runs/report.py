@@ -22,7 +22,7 @@ import numpy as np
 
 from a4agent import metrics, rle
 from a4agent.engine.threads import ordered_map
-from a4agent.errors import DataError, require
+from a4agent.errors import DataError
 from a4agent.runs import published, scores
 from a4agent.runs.store import STATUSES, Record, Run, write_atomically
 
@@ -34,7 +34,6 @@ def write_report(run: Run, path: Path | None = None) -> Path:
 
     Raises:
         DataError: the run has no samples yet.
-        MissingExtraError: jinja2 is not installed.
     """
     if not run.records:
         raise DataError(f"{str(run.folder)!r} has no samples yet; start it again with `a4 bench`")
@@ -45,16 +44,15 @@ def write_report(run: Run, path: Path | None = None) -> Path:
 
 def render(run: Run) -> str:
     """The page as text."""
-    jinja2 = require("jinja2", extra="bench")
+    from jinja2 import Environment, StrictUndefined
+
     side = picture_side(len(run.records))
     files_of = dict.fromkeys(name for record in run.records.values() for name in record.pictures.values())
     embedded = ordered_map(lambda name: _embedded(run.folder / name, side), files_of)
     pictures = {name: data for name, data in zip(files_of, embedded, strict=True) if data}
     samples = list(ordered_map(lambda record: _sample(record, side, pictures), run.records.values()))
     page = files("a4agent.runs") / "page"
-    environment: Any = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
-    )
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
     environment.filters["percent"] = _percent
     frame = environment.from_string((page / "page.html").read_text(encoding="utf-8"))
     found = scores.score(run)
