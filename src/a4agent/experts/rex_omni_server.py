@@ -165,7 +165,7 @@ class RexOmniServer(RemoteExpert):
                 f"max_tokens, if it was not repeating itself: {text[:80]!r} ... {text[-80:]!r}"
             )
         found: Any = getattr(choice, "token_ids", None)
-        ids = [token for token in found if isinstance(token, int)] if isinstance(found, list) else []
+        ids: list[int] = found if isinstance(found, list) and all(isinstance(token, int) for token in found) else []
         if SPECIAL_IDS[_BOX] in ids:
             shapes = read_tokens(ids, size_wh, _commas)
         elif _BOX in text:
