@@ -272,6 +272,26 @@ def test_a_budget_of_money_is_kept(settings: Settings, queries: list[Query]) -> 
 
 
 @pytest.mark.usefixtures("_in_process")
+def test_a_budget_has_room_for_all_actors_once_it_is_known_what_a_sample_costs(
+    settings: Settings, queries: list[Query], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rooms: list[int] = []
+
+    class Told(Gate):
+        def __init__(self, room: int) -> None:
+            rooms.append(room)
+            super().__init__(room)
+
+        def resize(self, room: int) -> None:
+            rooms.append(room)
+            super().resize(room)
+
+    monkeypatch.setattr(engine_ray, "SharedGate", Told)
+    list(engine_ray.run(limited(settings, max_cost=100.0), queries[:9]))
+    assert rooms == [32, 48, 48]  # a batch of 8 for each of three stages and one more; twice what all actors hold
+
+
+@pytest.mark.usefixtures("_in_process")
 def test_no_money_begins_no_sample(settings: Settings, queries: list[Query], tmp_path: Path) -> None:
     with pytest.raises(BudgetExceeded, match="max_cost = 0 "):
         next(engine_ray.run(limited(settings, max_cost=0.0), queries))

@@ -10,9 +10,18 @@ import textwrap
 import threading
 import time
 
+import numpy as np
 import pytest
 
+from a4agent import engine
+from a4agent.affordance import Query
+from a4agent.agent import A4Agent
+from a4agent.engine.budget import UNTIL_PRICED
 from a4agent.engine.stop import Stop
+from a4agent.experts.base import ChatAnswer, ChatRequest, Usage
+from a4agent.spotter import Spotter
+from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, output
+from a4agent.thinker import Thinker
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 
@@ -154,3 +163,21 @@ def test_the_second_interrupt_leaves_at_once() -> None:
     process.communicate(timeout=30)
     assert process.returncode == 130
     assert time.monotonic() - started < 2.0
+
+
+def test_what_waits_for_the_budget_is_not_begun_after_an_interrupt() -> None:
+    def chat(request: ChatRequest) -> ChatAnswer:
+        time.sleep(0.1)
+        if len(vlm.requests) == UNTIL_PRICED and next(once, False):
+            signal.raise_signal(signal.SIGINT)
+        time.sleep(0.4)
+        return ChatAnswer(output("the handle"), usage=Usage(cost=0.01))
+
+    once = iter([True])
+    vlm = ScriptedVLM(chat, concurrency=8)
+    agent = A4Agent(None, Thinker(vlm), Spotter(ScriptedDetector(), ScriptedSegmenter()))
+    queries = [Query(str(number), np.full((8, 8, 3), number, np.uint8), "open") for number in range(8)]
+    settings = engine.EngineSettings(in_flight=8, max_cost=1.0)
+    with pytest.raises(KeyboardInterrupt):
+        list(engine.run(agent, queries, settings=settings))
+    assert len(vlm.requests) == UNTIL_PRICED
