@@ -214,7 +214,9 @@ def test_find_images_looks_below_and_leaves_hidden_ones(tmp_path: Path) -> None:
 
 
 def test_find_images_takes_no_answers_for_photographs(tmp_path: Path) -> None:
-    for name in ("mug.png", "out/mug/mask.png", "out/mug/overlay.png", "out/mug/affordance.json", "out/cup.png"):
+    answer = ("affordance.json", "mask.png", "overlay.png", "imagination.png")
+    for name in ("mug.png", *answer, "out/cup.png", "masks/mask.png", *(f"out/mug/{name}" for name in answer)):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
-    assert [path.relative_to(tmp_path).as_posix() for path in find_images(tmp_path)] == ["mug.png", "out/cup.png"]
+    found = [path.relative_to(tmp_path).as_posix() for path in find_images(tmp_path)]
+    assert found == ["masks/mask.png", "mug.png", "out/cup.png"]

@@ -64,6 +64,11 @@ def test_a_failed_write_keeps_the_old_answer(tmp_path: Path, monkeypatch: pytest
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
+def test_an_imagined_picture_of_any_mode_is_saved(tmp_path: Path) -> None:
+    replace(EMPTY, imagination=Imagination("Edit it.", Image.new("CMYK", (8, 6)))).save(tmp_path)
+    assert load_image(tmp_path / "imagination.png").size == (8, 6)
+
+
 def test_a_name_that_is_not_unicode_is_saved_and_read_back(tmp_path: Path) -> None:
     name = "caf\udce9"  # how Python shows the bytes of a file name that is not UTF-8
     assert load(replace(EMPTY, id=name, instruction="开门").save(tmp_path)).id == name

@@ -23,6 +23,8 @@ MAX_PIXELS = 100_000_000
 SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".gif", ".ppm"})
 FORMATS = ("JPEG", "PNG", "BMP", "GIF", "PPM", "WEBP", "TIFF")
 """Pillow's names of what is decoded, whoever sends it: of its other decoders some are untested or start programs."""
+ANSWER_PICTURES = ("mask.png", "overlay.png", "imagination.png")
+"""What a saved answer may have beside its affordance.json."""
 _TURN = threading.Lock()
 
 
@@ -201,12 +203,11 @@ def image_hash(image: Image) -> str:
 
 def find_images(folder: Path) -> list[Path]:
     """All image files below `folder`, sorted; hidden ones and the pictures of saved answers are left out."""
-    found = [
+    return sorted(
         path
         for path in folder.rglob("*")
         if path.suffix.lower() in SUFFIXES
         and path.is_file()
         and not any(part.startswith(".") for part in path.relative_to(folder).parts)
-    ]
-    answers = {parent for parent in {path.parent for path in found} if (parent / "affordance.json").is_file()}
-    return sorted(path for path in found if path.parent not in answers)
+        and not (path.name in ANSWER_PICTURES and path.with_name("affordance.json").is_file())
+    )

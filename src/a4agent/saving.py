@@ -13,12 +13,10 @@ import numpy as np
 from a4agent.affordance import Affordance
 from a4agent.errors import DataError, InputError
 from a4agent.folders import replace_file
+from a4agent.images import ANSWER_PICTURES
 
 if TYPE_CHECKING:
     from PIL.Image import Image
-
-
-PICTURES = ("mask.png", "overlay.png", "imagination.png")
 
 
 def save(affordance: Affordance, folder: Path) -> Path:
@@ -31,7 +29,7 @@ def save(affordance: Affordance, folder: Path) -> Path:
     pictures = _pictures(affordance)
     text = json.dumps(affordance.to_dict(), ensure_ascii=False, indent=1)
     try:
-        for name in PICTURES:
+        for name in ANSWER_PICTURES:
             if name in pictures:
                 replace_file(folder / name, _png(pictures[name]))
             else:
@@ -54,7 +52,7 @@ def _pictures(affordance: Affordance) -> dict[str, Image]:
     if affordance.image is not None:
         found["overlay.png"] = overlay.draw(affordance.image, affordance)
     if affordance.imagination is not None and affordance.imagination.image is not None:
-        found["imagination.png"] = affordance.imagination.image
+        found["imagination.png"] = affordance.imagination.image.convert("RGB")
     return found
 
 

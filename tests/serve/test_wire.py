@@ -42,6 +42,7 @@ def test_png_masks_and_pictures_are_the_same_pixels() -> None:
     data = wire.to_wire(affordance(), "png", "png")
     assert ((pixels(data["mask"]["png"]) == 255) == affordance().mask).all()
     assert (pixels(data["imagination"]["png"]) == (255, 0, 0)).all()
+    assert wire.imagination_to_wire(Imagination("Edit it.", Image.new("CMYK", (4, 4))), "png")["png"]
 
 
 @pytest.mark.parametrize("score", [float("nan"), float("inf"), -float("inf")])

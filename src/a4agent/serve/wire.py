@@ -120,7 +120,7 @@ def imagination_to_wire(imagination: Imagination, form: PictureForm) -> dict[str
     """The edit prompt, and the picture as base64 PNG if it was asked for."""
     data: dict[str, Any] = {"prompt": imagination.prompt}
     if form == "png" and imagination.image is not None:
-        data["png"] = _png(imagination.image)
+        data["png"] = _png(imagination.image.convert("RGB"))
     return data
 
 
