@@ -49,13 +49,12 @@ def asset_path(catalogue: Catalogue, package: str, file: str) -> Path:
         raise MissingExtraError(
             f"the simulator assets of {package!r} are not installed: {install_command(catalogue)}"
         ) from error
-    path = Path(str(distribution.locate_file(f"{catalogue.packages[package].folder}/{file}")))
-    declared = catalogue.packages[package].version
-    if not path.is_file() and distribution.version == declared:
-        folder = catalogue.packages[package].folder
+    folder, declared = catalogue.packages[package].folder, catalogue.packages[package].version
+    path = Path(str(distribution.locate_file(f"{folder}/{file}")))
+    if path.is_file():
+        return path
+    if distribution.version == declared:
         raise DataError(f"{package} {declared} has no {file!r} in its folder {folder!r}; correct the declaration")
-    if not path.is_file():
-        raise MissingExtraError(
-            f"{package} {distribution.version} has no {file!r}; version {declared} has: {install_command(catalogue)}"
-        )
-    return path
+    raise MissingExtraError(
+        f"{package} {distribution.version} has no {file!r}; version {declared} has: {install_command(catalogue)}"
+    )
