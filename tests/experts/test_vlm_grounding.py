@@ -210,6 +210,7 @@ def test_the_fingerprint_holds_the_whole_dialect():
     known = dialects()["qwen3-vl"]
     one, two = (VlmDetector(replace(known, resize=rule), Scripted(), 9) for rule in ("none", "square 840"))
     assert one.fingerprint() != two.fingerprint()
+    assert one.fingerprint() == VlmDetector(replace(one.dialect, source="elsewhere"), Scripted(), 9).fingerprint()
 
 
 def test_over_the_wire_the_image_arrives_in_the_declared_size(openai_server):

@@ -199,7 +199,8 @@ class VlmDetector(ExpertBase):
     """A Detector that asks a VLM in a dialect. Boxes and points come in the order of the answer, without scores."""
 
     def __init__(self, dialect: Dialect, vlm: VisionLanguageModel, max_tokens: int) -> None:
-        settings = {**vars(dialect), "max_tokens": max_tokens, "vlm": dict(vlm.fingerprint())}
+        rules = {name: rule for name, rule in vars(dialect).items() if name != "source"}  # which is for people
+        settings = {**rules, "max_tokens": max_tokens, "vlm": dict(vlm.fingerprint())}
         super().__init__(
             f"vlm-grounding:{dialect.name}",
             settings=settings,
