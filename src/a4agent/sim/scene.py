@@ -72,18 +72,8 @@ def build_scene(
     `yaw` is the direction the camera will look from; an arm comes in from that half. Props that find no
     free spot are left out. Raises DataError if a declaration does not fit its file.
     """
-    spec, root_name = _start(catalogue, thing)
-    for index, prop in enumerate(props):
-        _attach(spec, catalogue, prop, f"prop{index}")
-    if arm:
-        _attach(spec, catalogue, arm, "arm")
     surfaces = {} if thing.in_place else surfaces or {}
-    _add_stage(spec, catalogue, surfaces)
-    _drop_unused(spec)
-    try:
-        model = spec.compile()
-    except ValueError as error:
-        raise DataError(f"the scene of {thing.name!r} does not compile: {error}") from error
+    model, root_name = _compile(catalogue, thing, props, arm, surfaces)
     data = mujoco().MjData(model)
 
     prefix = "" if thing.in_place else "thing/"
@@ -125,6 +115,27 @@ def build_scene(
         center=(low + high) / 2,
         radius=float(np.linalg.norm(high - low) / 2),
     )
+
+
+def _compile(
+    catalogue: Catalogue,
+    thing: Thing,
+    props: Sequence[Prop | Thing],
+    arm: Arm | None,
+    surfaces: Mapping[Use, tuple[str, str]],
+) -> tuple[Any, str]:
+    """The model of everything, not yet in its place, and the name of the thing's body in it."""
+    spec, root_name = _start(catalogue, thing)
+    for index, prop in enumerate(props):
+        _attach(spec, catalogue, prop, f"prop{index}")
+    if arm:
+        _attach(spec, catalogue, arm, "arm")
+    _add_stage(spec, catalogue, surfaces)
+    _drop_unused(spec)
+    try:
+        return spec.compile(), root_name
+    except ValueError as error:
+        raise DataError(f"the scene of {thing.name!r} does not compile: {error}") from error
 
 
 def _start(catalogue: Catalogue, thing: Thing) -> tuple[Any, str]:
