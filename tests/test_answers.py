@@ -38,7 +38,7 @@ OTHER = '{"task": "drink", "object_name": "cup", "object_part": "the rim of the 
         '{"object_name": " mug ", "object_part": "\\tthe handle of the mug\\n"}',
         f"### Output\n{GOOD}\n### Output\n{{broken",
         f'The 5" one:\n{GOOD[:-1]},}}\nIt is the "mug".',
-        GOOD.replace('"drink"', "null"),
+        GOOD.replace('"drink"', 'null, "thinking": null'),
     ],
 )
 def test_an_answer_is_read_through_whatever_stands_around_it(text: str) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from a4agent import Affordance, Region, Target
+from a4agent import Affordance, Region, Target, overlay
 from a4agent.images import load_image
 from a4agent.overlay import _font, caption_of, draw
 
@@ -59,6 +59,12 @@ def test_letters_without_a_shape_become_an_ellipsis() -> None:
     font, text = _font("the \U0010fffe\U0010fffd mug", 20)
     assert text == "the … mug"
     assert font.getlength(text)
+
+
+def test_without_fonts_for_a_script_the_rest_is_still_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(overlay, "FONTS", ("none-of-this-name.ttf",))
+    assert _font("the 把手 of the mug", 20)[1] == "the … of the mug"
+    draw(Image.new("RGB", (300, 200)), answer(300, 200, None, "把手"))
 
 
 def test_a_picture_over_the_usual_limit_can_be_drawn(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,8 +46,10 @@ def test_a_bad_answer_is_asked_again_with_the_reason() -> None:
 
 def test_after_two_reasks_it_gives_up_with_the_last_reason() -> None:
     vlm = ScriptedVLM(["", "no", "still no"])
-    with pytest.raises(UnreadableAnswer, match=r"\(the answer held no JSON object\)"):
+    with pytest.raises(UnreadableAnswer, match=r"when asked 3 times: .* \(the answer held no JSON object\)"):
         Thinker(vlm).decide(PHOTO, "drink")
+    with pytest.raises(UnreadableAnswer, match="when asked once: the answer was empty"):
+        Thinker(ScriptedVLM([""]), reasks=0).decide(PHOTO, "drink")
 
 
 def test_an_answer_cut_off_by_the_limit_names_the_setting() -> None:
