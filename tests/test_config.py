@@ -151,6 +151,9 @@ def test_an_error_names_where_the_setting_stands(profile: Path, tmp_path: Path) 
     (folder / "a4.toml").write_text("[thinker]\nreask = 1\n")
     with pytest.raises(UnknownNameError, match=r"reask.*from .*a4\.toml.*reasks"):
         load_settings(profile, environ={}, folder=folder)
+    (folder / "a4.toml").write_text("[thinker]\nvlm = 'no colon'\n")  # wrong is what it stands for: its `expert`
+    with pytest.raises(ConfigError, match=r"from .*a4\.toml.*not 'no colon'"):
+        load_settings(profile, environ={}, folder=folder)
 
 
 def test_a_blank_variable_is_as_good_as_none(profile: Path) -> None:
