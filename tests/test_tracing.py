@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -44,10 +47,15 @@ def test_failures_leave_a_step_and_keep_their_class() -> None:
     assert [step.error.partition(":")[0] for step in recorder.trace.steps] == ["RateLimited", "ValueError"]
 
 
-def test_an_answer_of_the_wrong_kind_is_the_experts_failure() -> None:
+@pytest.mark.parametrize("answer", [None, Detection(), ChatAnswer(None)])  # type: ignore[arg-type]
+def test_an_answer_of_the_wrong_kind_is_the_experts_failure(answer: Any) -> None:
+    class Careless(ScriptedVLM):
+        def chat(self, requests: Sequence[ChatRequest]) -> list[Any]:
+            return [answer]
+
     recorder = Recorder()
     with pytest.raises(ProviderError, match="scripted:expert failed"):
-        recorder.ask("thinker", ScriptedVLM([None]), ChatRequest((), "well?"))
+        recorder.ask("thinker", Careless([]), ChatRequest((), "well?"))
     assert recorder.trace.steps[0].error
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Any, overload
+from typing import Any, cast, overload
 
 from a4agent.affordance import Step, Trace
 from a4agent.errors import A4Error, ProviderError
@@ -27,6 +27,13 @@ from a4agent.experts.base import (
     ask,
 )
 from a4agent.prompts import text_hash
+
+KINDS: dict[str, type[Answer]] = {
+    "chat": ChatAnswer,
+    "edit": EditAnswer,
+    "detect": Detection,
+    "segment": Segmentation,
+}
 
 
 class Recorder:
@@ -68,7 +75,7 @@ class Recorder:
             answer = ask(expert, [request])[0]
             if isinstance(answer, A4Error):
                 raise answer
-            text = _text_of(answer)
+            text = _text_of(_checked(answer, request))
         except Exception as error:
             seconds = time.perf_counter() - started
             attempts = int(getattr(error, "attempts", 1))
@@ -93,6 +100,16 @@ class Recorder:
             )
         )
         return answer
+
+
+def _checked(answer: Answer, request: Request) -> Answer:
+    """The answer, if it is of the kind that was asked for. Experts are other people's, and not all are typed."""
+    kind = KINDS[request.verb]
+    if not isinstance(answer, kind):
+        raise TypeError(f"a {type(answer).__name__} where a {kind.__name__} is expected")
+    if isinstance(answer, ChatAnswer) and not isinstance(cast(Any, answer.text), str):
+        raise TypeError(f"a ChatAnswer whose text is {type(answer.text).__name__}")
+    return answer
 
 
 def _prompt_of(request: Request) -> str:
