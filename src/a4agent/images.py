@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 MAX_PIXELS = 100_000_000
 SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".gif", ".ppm"})
+UNREAD = frozenset({".heic", ".heif", ".avif", ".jxl", ".jp2", ".tga", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".psd"})
+"""What people have photographs in and has to be converted first."""
 FORMATS = ("JPEG", "PNG", "BMP", "GIF", "PPM", "WEBP", "TIFF")
 """Pillow's names of what is decoded, whoever sends it: of its other decoders some are untested or start programs."""
 ANSWER_PICTURES = ("mask.png", "overlay.png", "imagination.png")
@@ -111,7 +113,7 @@ def _explained(name: str) -> Generator[None, None, None]:
         raise
     except UnidentifiedImageError as error:
         raise InputError(
-            f"{name} is not an image in a format that can be read (JPEG, PNG, WebP, BMP, TIFF, GIF)"
+            f"{name} is not an image in a format that can be read (JPEG, PNG, WebP, BMP, TIFF, GIF, PPM)"
         ) from error
     except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError, KeyError) as error:
         raise InputError(f"{name} is damaged or cut off: {error}") from error
@@ -203,10 +205,19 @@ def image_hash(image: Image) -> str:
 
 def find_images(folder: Path) -> list[Path]:
     """All image files below `folder`, sorted; hidden ones and the pictures of saved answers are left out."""
+    return _files(folder, SUFFIXES)
+
+
+def find_unread(folder: Path) -> list[Path]:
+    """The photographs below `folder` in formats that are not read."""
+    return _files(folder, UNREAD)
+
+
+def _files(folder: Path, suffixes: frozenset[str]) -> list[Path]:
     return sorted(
         path
         for path in folder.rglob("*")
-        if path.suffix.lower() in SUFFIXES
+        if path.suffix.lower() in suffixes
         and path.is_file()
         and not any(part.startswith(".") for part in path.relative_to(folder).parts)
         and not (path.name in ANSWER_PICTURES and path.with_name("affordance.json").is_file())

@@ -164,6 +164,17 @@ def test_globs_and_folders_and_files_mix() -> None:
         split_arguments(["bare", "drink"])
 
 
+def test_photographs_that_are_not_read_are_not_passed_over_in_silence(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("phone").mkdir()
+    for name in ("one.HEIC", "two.heic", "three.avif"):
+        Path("phone", name).touch()
+    with pytest.raises(InputError, match=r"only \.avif, \.heic files; convert them"):
+        split_arguments(["phone", "drink"])
+    Path("phone", "four.jpg").touch()
+    assert split_arguments(["phone", "drink"])[0] == [Path("phone/four.jpg")]
+    assert "3 files in 'phone' are passed over (.avif, .heic)" in capsys.readouterr().err
+
+
 def test_names_are_short_unique_and_whole() -> None:
     paths = [
         Path(p) for p in ("a/mug.png", "b/mug.png", "cup.v2.png", "pan.jpg", "pan.png", "x/a/mug.png", "Cup.v2.png")

@@ -53,7 +53,7 @@ def split_arguments(arguments: list[str]) -> tuple[list[Path], str]:
     Raises:
         InputError: no image, no instruction, an empty folder or a glob that matches nothing.
     """
-    from a4agent.images import find_images
+    from a4agent.images import find_images, find_unread
 
     *sources, instruction = arguments
     if not sources:
@@ -70,8 +70,16 @@ def split_arguments(arguments: list[str]) -> tuple[list[Path], str]:
     for source in sources:
         if os.path.isdir(source):
             found = find_images(Path(source))
+            unread = find_unread(Path(source))
+            formats = ", ".join(sorted({path.suffix.lower() for path in unread}))
+            if not found and unread:
+                raise InputError(f"the folder {source!r} has only {formats} files; convert them to JPEG or PNG")
             if not found:
                 raise InputError(f"no images in the folder {source!r}")
+            if unread:
+                common.warn(
+                    f"{len(unread)} files in {source!r} are passed over ({formats}); convert them to JPEG or PNG"
+                )
             images += found
         elif not os.path.exists(source) and glob.has_magic(source):
             found = sorted(Path(name) for name in glob.glob(source, recursive=True) if os.path.isfile(name))

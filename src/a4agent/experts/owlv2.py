@@ -1,6 +1,6 @@
 """`owlv2:NAME_OR_FOLDER`: scored boxes for a phrase, and the place in each that looks most like it.
 
-    create("google/owlv2-base-patch16-ensemble", "detector").detect([DetectRequest(image=photo, phrase="the handle")])
+    create("google/owlv2-base-patch16", "detector").detect([DetectRequest(image=photo, phrase="the handle")])
 
 OWLv2 predicts one box from every patch of the image. The point of a box is the patch that predicted it, where that
 lies inside the box, else the centre. Source: Minderer et al., OWLv2 (arXiv 2306.09683).
