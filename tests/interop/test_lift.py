@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from a4agent import client
 from a4agent.affordance import Affordance, Region
 from a4agent.errors import InputError
 from a4agent.interop.lift import Intrinsics, Lifted, LiftedRegion, back_project, lift
@@ -146,6 +147,12 @@ def test_too_little_surface_has_no_frame_but_keeps_its_points(pixels: list[tuple
     assert region.points_xyz[0, 2] == 1.0
     assert not region.frame.measured
     assert len(region.cloud_xyz) == len(pixels)
+
+
+def test_an_answer_of_the_client_is_told_how_to_become_an_affordance() -> None:
+    answer = Affordance("pull", (4, 3), status="empty").to_dict()
+    with pytest.raises(InputError, match=r"Affordance\.from_dict\(answer\.to_dict\(\)\)"):
+        lift(client.Affordance.from_dict(answer), np.ones((3, 4)), np.eye(3))  # type: ignore[arg-type]
 
 
 def test_nothing_found_lifts_to_nothing() -> None:

@@ -13,7 +13,7 @@ pixel earlier. Depth is z, not the length of the ray.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -125,8 +125,14 @@ def lift(
         radius: a key point's depth is the median over the region's pixels at most this far from it, in x and y.
 
     Raises:
-        InputError: the depth image has another size than the picture, or integers without `depth_scale`.
+        InputError: the depth image has another size than the picture, or integers without `depth_scale`; or an answer
+            of `a4agent.client`.
     """
+    if not isinstance(cast(Any, affordance), Affordance):
+        raise InputError(
+            f"lift takes an a4agent.Affordance, not {type(affordance).__module__}.{type(affordance).__name__}; an"
+            " answer of a4agent.client becomes one by Affordance.from_dict(answer.to_dict())"
+        )
     camera = intrinsics if isinstance(intrinsics, Intrinsics) else Intrinsics.of(intrinsics)
     metres = _metres(depth, affordance.size_wh, depth_scale)
     label = affordance.target.object_part if affordance.target else affordance.instruction
