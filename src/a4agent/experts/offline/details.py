@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from a4agent.errors import require
+from a4agent.experts.offline.boxes import depth_in
 from a4agent.experts.offline.colour import dominant
 
 BAR = 3.3
@@ -38,10 +39,17 @@ class Detail:
 
 def slimness(mask: np.ndarray) -> float:
     """How many times its thickness a region (h, w) bool, not blank, extends: of a straight bar and of a bent one."""
+    return _slimness(mask, _sides(mask))
+
+
+def _slimness(mask: np.ndarray, sides: tuple[float, float]) -> float:
+    return float(np.hypot(*sides)) / (2 * float(depth_in(mask).max()))
+
+
+def _sides(mask: np.ndarray) -> tuple[float, float]:
+    """The sides of the smallest box around a region (h, w) bool, not blank, at whatever angle."""
     cv2 = require("cv2", extra="offline")
-    depth = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 5)
-    _, sides, _ = cv2.minAreaRect(np.argwhere(mask)[:, ::-1].astype(np.float32))
-    return float(np.hypot(*sides)) / (2 * float(depth.max()))
+    return cv2.minAreaRect(np.argwhere(mask)[:, ::-1].astype(np.float32))[1]
 
 
 def longest(found: Sequence[Detail]) -> np.ndarray | None:
@@ -101,20 +109,19 @@ def details(mask: np.ndarray, lab: np.ndarray) -> Iterator[Detail]:
     )
     odd = ((distance > max(7.0, float(np.percentile(distance[inner], 80)))) & inner).astype(np.uint8)
     odd = cv2.morphologyEx(odd, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    depth = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
-    border = depth < 4.0 + 0.03 * np.sqrt(area)
+    border = depth_in(mask) < 4.0 + 0.03 * np.sqrt(area)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(odd)
     for label in range(1, count):
         size = stats[label, cv2.CC_STAT_AREA]
         if size < max(8, 0.001 * area) or size > 0.4 * area:
             continue
         piece = labels == label
-        (_, sides, _) = cv2.minAreaRect(np.argwhere(piece)[:, ::-1].astype(np.float32))
+        sides = _sides(piece)
         long, short = max(sides) + 1, min(sides) + 1
         yield Detail(
             piece,
             share=size / area,
-            slimness=slimness(piece),
+            slimness=_slimness(piece, sides),
             elongation=long / short,
             fullness=min(1.0, size / (long * short)),
             contrast=float(distance[piece].mean()),

@@ -19,7 +19,7 @@ class OfflineDetector(ExpertBase):
     """A Detector of one box and one point; none where nothing stands out from the background."""
 
     def __init__(self, *, threads: int = 0) -> None:
-        super().__init__("offline:parts", revision=revision(), max_batch=1, concurrency=1)
+        super().__init__("offline:parts", revision=revision())
         self.threads = threads
 
     def detect(self, requests: Sequence[DetectRequest]) -> list[Detection | A4Error]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from a4agent.errors import require
 from a4agent.experts.offline import details
+from a4agent.experts.offline.boxes import depth_in
 from a4agent.experts.offline.phrases import Wanted
 from a4agent.experts.offline.profile import Layout, Profile, Span
 from a4agent.experts.offline.protrusions import Piece, split
@@ -124,9 +125,7 @@ class Anatomy:
 
     def _rim(self, layout: Layout) -> np.ndarray:
         """The border of the opening."""
-        cv2 = require("cv2", extra="offline")
-        opening = np.pad(self._opening(layout), 1)
-        depth = cv2.distanceTransform(opening.astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+        depth = depth_in(self._opening(layout))
         return (depth > 0) & (depth <= max(2.0, 0.25 * depth.max()))
 
     def _upright(self, start: float, end: float) -> np.ndarray:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from a4agent.errors import require
+from a4agent.experts.offline.boxes import depth_in
 
 BRUSH = 0.55
 """The brush's radius, of the radius of the largest disc inside the object."""
@@ -38,8 +39,7 @@ def split(mask: np.ndarray) -> tuple[np.ndarray, list[Piece]]:
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     filled = cv2.drawContours(np.zeros(mask.shape, np.uint8), contours, -1, 1, -1)
     holes = _large_holes(filled.astype(bool) & ~mask, mask.sum())
-    solid = np.pad((mask | (filled.astype(bool) & ~holes)).astype(np.uint8), 1)
-    depth = cv2.distanceTransform(solid, cv2.DIST_L2, 5)[1:-1, 1:-1]
+    depth = depth_in(mask | (filled.astype(bool) & ~holes))
     radius = max(1.0, BRUSH * float(depth.max()))
     core = depth >= radius
     _, labels = cv2.connectedComponents(core.astype(np.uint8))

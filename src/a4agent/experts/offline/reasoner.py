@@ -27,7 +27,7 @@ class OfflineReasoner(ExpertBase):
     """A VisionLanguageModel made of rules; needs no key, no download and no time."""
 
     def __init__(self) -> None:
-        super().__init__("offline:reasoner", revision=revision(), max_batch=1, concurrency=1)
+        super().__init__("offline:reasoner", revision=revision())
 
     def chat(self, requests: Sequence[ChatRequest]) -> list[ChatAnswer | A4Error]:
         return [_answer(request.text) for request in requests]

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from a4agent.errors import require
 from a4agent.experts.offline import parts
+from a4agent.experts.offline.boxes import depth_in
 from a4agent.experts.offline.phrases import Wanted, everything
 from a4agent.experts.offline.silhouette import Silhouette, find_object
 
@@ -70,9 +70,8 @@ class Scene:
 
     def point_xy(self, region: np.ndarray) -> np.ndarray:
         """The point (2,) float32 deepest inside a region, in pixels of the image."""
-        cv2 = require("cv2", extra="offline")
         assert self.silhouette is not None
-        depth = cv2.distanceTransform(np.pad(region, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+        depth = depth_in(region)
         row, column = np.unravel_index(depth.argmax(), depth.shape)
         x0, y0, x1, y1 = self.silhouette.box_xyxy
         height, width = region.shape

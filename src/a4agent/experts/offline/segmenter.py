@@ -25,7 +25,7 @@ class OfflineSegmenter(ExpertBase):
     """A Segmenter with one candidate per prompt."""
 
     def __init__(self, *, threads: int = 0) -> None:
-        super().__init__("offline:parts", revision=revision(), max_batch=1, concurrency=1)
+        super().__init__("offline:parts", revision=revision())
         self.threads = threads
 
     def segment(self, requests: Sequence[SegmentRequest]) -> list[Segmentation | A4Error]:

@@ -260,12 +260,11 @@ def _with_objects(
                     return _because(thing, part, action, _used_for(said, verb, action, thing, part, mention.start))
     for verb in verbs:
         for action in _instead(said, verb, know):
-            part = next((part for thing in ordered if (part := thing.part_for(action))), None)
-            if part:
-                thing = next(thing for thing in ordered if part in thing.parts)
-                return _because(
-                    thing, part, action, f"For that, one would {action} the {thing.name} at its {part.name}."
-                )
+            for thing in ordered:
+                part = thing.part_for(action)
+                if part:
+                    why = f"For that, one would {action} the {thing.name} at its {part.name}."
+                    return _because(thing, part, action, why)
     if not verbs:
         thing = ordered[0]
         if len(said) - (objects[0].end - objects[0].start) <= 2:  # "the mug": nothing to do was said
