@@ -203,17 +203,8 @@ def image_hash(image: Image) -> str:
     return digest.hexdigest()
 
 
-def find_images(folder: Path) -> list[Path]:
-    """All image files below `folder`, sorted; hidden ones and the pictures of saved answers are left out."""
-    return _files(folder, SUFFIXES)
-
-
-def find_unread(folder: Path) -> list[Path]:
-    """The photographs below `folder` in formats that are not read."""
-    return _files(folder, UNREAD)
-
-
-def _files(folder: Path, suffixes: frozenset[str]) -> list[Path]:
+def find_images(folder: Path, suffixes: frozenset[str] = SUFFIXES) -> list[Path]:
+    """All such files below `folder`, sorted; hidden ones and the pictures of saved answers are left out."""
     return sorted(
         path
         for path in folder.rglob("*")

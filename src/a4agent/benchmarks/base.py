@@ -55,6 +55,10 @@ class Truth:
         """Other masks (H, W) bool that are as right as `mask()`; for `metrics.measure`. Mostly none."""
         return self.load_alternatives() if self.load_alternatives else ()
 
+    def masks(self) -> tuple[np.ndarray, ...]:
+        """All masks (H, W) bool that are equally right: that of `mask()`, then `alternatives()`."""
+        return self.mask(), *self.alternatives()
+
 
 @dataclass(frozen=True, eq=False)
 class Sample:

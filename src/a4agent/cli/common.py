@@ -10,6 +10,8 @@ from rich.console import Console
 from a4agent.errors import ConfigError, UserError
 
 if TYPE_CHECKING:
+    from rich.progress import Progress, ProgressColumn
+
     from a4agent.agent import A4Agent
     from a4agent.config import Settings
 
@@ -58,6 +60,13 @@ def build_agent(settings: Settings) -> A4Agent:
     for need in models.check(settings.expert_specs()):
         say(f"fetching {need.reference}: {need.terms}")
     return A4Agent.from_settings(settings)
+
+
+def bar(*columns: ProgressColumn, hidden: bool = False) -> Progress:
+    """A progress bar on stderr that goes when it is done; `hidden`, or where there is no terminal, it shows nothing."""
+    from rich.progress import Progress
+
+    return Progress(*columns, console=messages, transient=True, disable=hidden or not messages.is_terminal)
 
 
 def say(text: str) -> None:

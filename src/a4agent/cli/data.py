@@ -53,12 +53,10 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
     """Open every picture and mask of a dataset: what is missing, broken or empty, and where to get it."""
-    from rich.progress import Progress
-
     from a4agent.benchmarks.check import check as check_all
 
     data = opened(benchmark, path, rule, option)
-    with Progress(console=common.messages, transient=True, disable=not common.messages.is_terminal) as progress:
+    with common.bar() as progress:
         task = progress.add_task("reading", total=len(data))
         found = check_all(data, lambda _: progress.advance(task))
     if as_json:

@@ -26,11 +26,9 @@ def make(
 
     Needs the extra `sim` and three packages of assets; where they are missing, the error says how to get them.
     """
-    from rich.progress import Progress
-
     from a4agent.sim.make import make_set
 
-    with Progress(console=common.messages, transient=True, disable=not common.messages.is_terminal) as progress:
+    with common.bar() as progress:
         task = progress.add_task("rendering", total=n)
         folder = make_set(
             out,

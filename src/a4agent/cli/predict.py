@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from a4agent.cli import common
-from a4agent.cli.common import ProfileOption, SetOption, messages, say
+from a4agent.cli.common import ProfileOption, SetOption, say
 from a4agent.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def split_arguments(arguments: list[str]) -> tuple[list[Path], str]:
     Raises:
         InputError: no image, no instruction, an empty folder or a glob that matches nothing.
     """
-    from a4agent.images import find_images, find_unread
+    from a4agent.images import SUFFIXES, UNREAD, find_images
 
     *sources, instruction = arguments
     if not sources:
@@ -69,8 +69,9 @@ def split_arguments(arguments: list[str]) -> tuple[list[Path], str]:
     images: list[Path] = []
     for source in sources:
         if os.path.isdir(source):
-            found = find_images(Path(source))
-            unread = find_unread(Path(source))
+            pictures = find_images(Path(source), SUFFIXES | UNREAD)
+            found = [path for path in pictures if path.suffix.lower() in SUFFIXES]
+            unread = [path for path in pictures if path.suffix.lower() in UNREAD]
             formats = ", ".join(sorted({path.suffix.lower() for path in unread}))
             if not found and unread:
                 raise InputError(f"the folder {source!r} has only {formats} files; convert them to JPEG or PNG")
@@ -119,7 +120,7 @@ def name_samples(images: list[Path]) -> dict[str, Path]:
 
 def _run(settings: Settings, samples: dict[str, Path], instruction: str, out: Path, as_json: bool) -> int:
     """Predict, save and tell; returns how many samples failed."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
     from a4agent import engine
     from a4agent.affordance import Query
@@ -129,9 +130,7 @@ def _run(settings: Settings, samples: dict[str, Path], instruction: str, out: Pa
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with (
         common.build_agent(settings) as agent,
-        Progress(
-            *columns, console=messages, transient=True, disable=len(samples) == 1 or not messages.is_terminal
-        ) as progress,
+        common.bar(*columns, hidden=len(samples) == 1) as progress,
     ):
         task = progress.add_task("predicting", total=len(samples))
         for query, affordance in engine.run(agent, queries, settings=settings.engine):

@@ -44,8 +44,6 @@ def score(
     A sample without a readable mask has failed. `a4 data queries` prints the ids, pictures and
     instructions to give to that system.
     """
-    from rich.progress import Progress
-
     from a4agent import metrics
     from a4agent.benchmarks.predictions import Predictions
     from a4agent.runs.external import score_predictions, write_run
@@ -55,7 +53,7 @@ def score(
     metrics.protocol_of(protocol)
     masks = Predictions(predictions)
     outcomes: list[Outcome] = []
-    with Progress(console=common.messages, transient=True, disable=not common.messages.is_terminal) as progress:
+    with common.bar() as progress:
         task = progress.add_task("scoring", total=len(opened_data))
         for outcome in score_predictions(opened_data, masks):
             outcomes.append(outcome)

@@ -188,7 +188,7 @@ class Session:
     def _truths(self, sample: Sample) -> tuple[np.ndarray, ...] | None:
         """The masks that are right, None where they cannot be read; read twice a sample rather than kept."""
         try:
-            return sample.truth.mask(), *sample.truth.alternatives()
+            return sample.truth.masks()
         except UserError as error:
             self.progress.unscored[sample.id] = str(error)
             return None

@@ -75,13 +75,15 @@ def write_run(
     )
     with RunWriter(folder, manifest) as writer:
         wanted = (sample for sample in benchmark if writer.wants(sample.id))
-        for sample, truths, answer in ordered_map(lambda one: (one, _truths(one), _answer(one, predictions)), wanted):
+        for sample, truths, answer in ordered_map(
+            lambda one: (one, one.truth.masks(), _answer(one, predictions)), wanted
+        ):
             writer.add(row_of(sample, answer, truths, writer))
     return read_run(folder)
 
 
 def _outcome(sample: Sample, predictions: Predictions) -> Outcome:
-    truth, *others = _truths(sample)
+    truth, *others = sample.truth.masks()
     prediction, problem = _predicted(sample, predictions)
     return Outcome(sample.id, sample.truth.category or "none", measure(prediction, truth, alternatives=others), problem)
 
@@ -115,7 +117,3 @@ def _predicted(sample: Sample, predictions: Predictions) -> tuple[np.ndarray | N
     except DataError as error:
         return None, str(error)
     return mask, MISSING if mask is None else ""
-
-
-def _truths(sample: Sample) -> tuple[np.ndarray, ...]:
-    return sample.truth.mask(), *sample.truth.alternatives()
