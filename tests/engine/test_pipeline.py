@@ -6,7 +6,7 @@ import re
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -91,45 +91,46 @@ def test_stages_of_different_samples_overlap(queries: Queries) -> None:
     assert [a.status for _, a in answers] == ["ok"] * 4
 
 
-def test_queries_are_taken_as_they_are_needed(queries: Queries) -> None:
-    taken = 0
+class Counted:
+    """Queries, and how many of them were taken."""
 
-    def counted() -> Iterator[Query]:
-        nonlocal taken
-        for query in queries(10_000):
-            taken += 1
+    def __init__(self, queries: Iterable[Query]) -> None:
+        self.taken = 0
+        self._queries = queries
+
+    def __iter__(self) -> Iterator[Query]:
+        for query in self._queries:
+            self.taken += 1
             yield query
 
+
+def test_queries_are_taken_as_they_are_needed(queries: Queries) -> None:
+    source = Counted(queries(10_000))
+
     settings = EngineSettings(in_flight=3)
-    running = engine.run(scripted_agent(), counted(), settings=settings)
+    running = engine.run(scripted_agent(), source, settings=settings)
     for _ in range(10):
         next(running)
     time.sleep(0.1)
-    assert taken <= 10 + 2 * 3 + 3
+    assert source.taken <= 10 + 2 * 3 + 3
     running.close()
-    before = taken
+    before = source.taken
     time.sleep(0.05)
-    assert taken <= before + 3
+    assert source.taken <= before + 3
 
 
 def test_in_order_no_more_is_read_ahead_of_a_slow_one(queries: Queries) -> None:
-    taken = 0
-
-    def counted() -> Iterator[Query]:
-        nonlocal taken
-        for query in queries(10_000):
-            taken += 1
-            yield query
+    source = Counted(queries(10_000))
 
     def first_is_slow(request: DetectRequest) -> list[Any]:
         time.sleep(0.3 if int(np.asarray(request.image)[0, 0].sum()) == 0 else 0)
         return [[0, 0, 4, 4]]
 
     agent = A4Agent(None, None, Spotter(ScriptedDetector(first_is_slow, concurrency=3), ScriptedSegmenter()))
-    running = engine.run(agent, counted(), ordered=True, settings=EngineSettings(in_flight=3))
+    running = engine.run(agent, source, ordered=True, settings=EngineSettings(in_flight=3))
     query, _ = next(running)
     assert query.id == "q0"
-    assert taken <= 2 * 3
+    assert source.taken <= 2 * 3
     running.close()
 
 
