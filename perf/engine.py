@@ -24,14 +24,14 @@ import numpy as np
 from PIL import Image
 
 from a4agent import engine
-from a4agent.affordance import Query
 from a4agent.agent import A4Agent
-from a4agent.dreamer import Dreamer
 from a4agent.engine import EngineSettings, Stats
-from a4agent.experts.base import ChatRequest
-from a4agent.spotter import Spotter
+from a4agent.protocols import ChatRequest
+from a4agent.stages.dreamer import Dreamer
+from a4agent.stages.spotter import Spotter
+from a4agent.stages.thinker import Thinker
 from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedSegmenter, ScriptedVLM, output, scripted_agent
-from a4agent.thinker import Thinker
+from a4agent.types import Query
 
 SECONDS = {"writer": 3.0, "editor": 25.0, "thinker": 10.0, "detector": 3.5, "segmenter": 0.1}
 

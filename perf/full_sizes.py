@@ -6,13 +6,16 @@ Numbers from the checkpoints' own config.json files: SAM 2.1, SAM 3, Qwen2.5-VL 
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
 import diffusers
 import transformers as t
 
-from a4agent.experts import random_weights
+sys.path.append(str(Path(__file__).parent.parent / "tests"))
+
+import random_weights
 from a4agent.experts.rex_omni_answer import SPECIAL_IDS
 
 # Width, attention heads, blocks of the four stages, blocks with global attention, windows, grid of window positions.

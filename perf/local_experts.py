@@ -27,8 +27,9 @@ import numpy as np
 import torch
 from PIL import Image
 
+from a4agent import protocols as base
 from a4agent.errors import A4Error
-from a4agent.experts import base, registry
+from a4agent.experts import registry
 from full_sizes import save
 
 TOKENS = 128

@@ -21,9 +21,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from a4agent import rle
 from a4agent.benchmarks.predictions import Predictions
 from a4agent.benchmarks.registry import load
+from a4agent.imaging.masks import decode_rle, encode_rle
 from a4agent.metrics import Row, measure, score
 from a4agent.runs.external import score_predictions
 
@@ -64,11 +64,11 @@ def main() -> None:
     count = parser.parse_args().masks
     generator = np.random.default_rng(0)
     masks = [blobs(generator) for _ in range(DIFFERENT)]
-    encoded = [rle.encode(mask) for mask in masks]
+    encoded = [encode_rle(mask) for mask in masks]
     pairs = [(i % DIFFERENT, (i + 1 + i // DIFFERENT) % DIFFERENT) for i in range(count)]
 
     timed("arrays", count, lambda: (measure(masks[one], masks[two]) for one, two in pairs))
-    timed("COCO RLE", count, lambda: (measure(rle.decode(encoded[a]), rle.decode(encoded[b])) for a, b in pairs))
+    timed("COCO RLE", count, lambda: (measure(decode_rle(encoded[a]), decode_rle(encoded[b])) for a, b in pairs))
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         (root / "predictions").mkdir()

@@ -28,7 +28,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageEnhance, ImageOps
 
 from a4agent import A4Agent, metrics
-from a4agent.affordance import Affordance, Given, Status, Target
+from a4agent.types import Affordance, Given, Status, Target
 
 TILE = 240
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import platform
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -22,8 +23,11 @@ import numpy as np
 import torch
 from PIL import Image
 
-from a4agent.experts import random_weights, sam2
-from a4agent.experts.base import Prompt, SegmentRequest
+sys.path.append(str(Path(__file__).parent.parent / "tests"))
+
+import random_weights
+from a4agent.experts.local import sam2
+from a4agent.protocols import Prompt, SegmentRequest
 from full_sizes import sam2_config
 
 GOAL = 1.3

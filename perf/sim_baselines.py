@@ -19,11 +19,12 @@ from pathlib import Path
 import numpy as np
 
 from a4agent import A4Agent, metrics
-from a4agent.affordance import Given, Status
-from a4agent.benchmarks import files, sim
+from a4agent.benchmarks import files
 from a4agent.benchmarks.base import Sample
 from a4agent.metrics import Row
 from a4agent.runs.oracle import given_of
+from a4agent.sim import benchmark as sim
+from a4agent.types import Given, Status
 
 
 def main() -> None:

@@ -135,7 +135,7 @@ def write_reasonaff(tmp_path: Path) -> Path:
 
 
 def write_coco(tmp_path: Path) -> Path:
-    from a4agent import rle
+    from a4agent.imaging.masks import encode_rle
 
     picture(tmp_path / "coco" / "one.jpg")
     content = {
@@ -154,7 +154,7 @@ def write_coco(tmp_path: Path) -> Path:
                 "image_id": 4,
                 "category_id": 1,
                 "caption": "lift it",
-                "segmentation": rle.encode(boxed((8, 0, 12, 4))),
+                "segmentation": encode_rle(boxed((8, 0, 12, 4))),
             },
             {
                 "id": 3,

@@ -14,12 +14,13 @@ import numpy as np
 from PIL import Image
 
 from a4agent.agent import A4Agent
-from a4agent.dreamer import Dreamer
 from a4agent.errors import RequestRejected
-from a4agent.experts.base import ChatAnswer, ChatRequest, Detection, DetectRequest, Usage
-from a4agent.spotter import Spotter
+from a4agent.protocols import ChatAnswer, ChatRequest, DetectRequest
+from a4agent.stages.dreamer import Dreamer
+from a4agent.stages.spotter import Spotter
+from a4agent.stages.thinker import Thinker
 from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedSegmenter, ScriptedVLM, output
-from a4agent.thinker import Thinker
+from a4agent.types import Detection, Usage
 
 WIDTH, HEIGHT = 96, 72
 STATUSES = {0: "error", 1: "invalid", 2: "empty"}

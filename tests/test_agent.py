@@ -10,19 +10,12 @@ import pytest
 from PIL import Image
 
 from a4agent import A4Agent, Given, Region, Target
-from a4agent.dreamer import Dreamer
 from a4agent.errors import CredentialError, InputError, ProviderUnavailable
-from a4agent.experts.base import Detection
-from a4agent.spotter import Spotter
-from a4agent.testing import (
-    ScriptedDetector,
-    ScriptedEditor,
-    ScriptedSegmenter,
-    ScriptedVLM,
-    output,
-    scripted_agent,
-)
-from a4agent.thinker import Thinker
+from a4agent.stages.dreamer import Dreamer
+from a4agent.stages.spotter import Spotter
+from a4agent.stages.thinker import Thinker
+from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedSegmenter, ScriptedVLM, output, scripted_agent
+from a4agent.types import Detection
 
 PHOTO = Image.new("RGB", (64, 48), "grey")
 

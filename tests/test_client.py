@@ -20,9 +20,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
 
-from a4agent import affordance as core
-from a4agent import client, rle
+from a4agent import client
+from a4agent import types as core
 from a4agent.client import Client, ServerError
+from a4agent.imaging.masks import encode_rle
 from a4agent.serve import run
 from a4agent.serve.api import create_app
 from a4agent.serve.limits import Limits
@@ -117,7 +118,7 @@ def test_the_file_needs_nothing_but_the_standard_library() -> None:
 
 @given(arrays.arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 12))))
 def test_masks_unpack_as_they_were_packed(mask: np.ndarray) -> None:
-    packed = rle.encode(mask)
+    packed = encode_rle(mask)
     read = client.Mask(*packed["size"], packed["counts"])
     assert (read.to_numpy() == mask).all()
     assert read.area == mask.sum()
@@ -130,7 +131,7 @@ def test_large_masks_with_long_runs_too() -> None:
     mask = np.zeros((900, 1300), bool)
     mask[100:700, 200:1100] = True
     mask[300:302, 400:402] = False
-    packed = rle.encode(mask)
+    packed = encode_rle(mask)
     assert (client.Mask(*packed["size"], packed["counts"]).to_numpy() == mask).all()
 
 

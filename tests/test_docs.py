@@ -22,7 +22,7 @@ import typer
 
 from a4agent.cli import common
 from a4agent.cli.main import build
-from a4agent.data_files import toml
+from a4agent.files import toml
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from a4agent.agent import A4Agent
-from a4agent.availability import EXTRAS
 from a4agent.config import load_settings, profile_names
 from a4agent.errors import ConfigError, MissingExtraError
 from a4agent.experts import registry
+from a4agent.requirements import EXTRAS
 
 WANTED = {
     "offline", "paper", "paper-open", "without-dreamer", "spotter-only", "paper-sam2-base-plus", "paper-sam2-tiny",
@@ -102,16 +102,16 @@ def test_a_baseline_grounds_the_instruction_itself(name):
 
 
 def test_modern_needs_no_non_commercial_model():
-    from a4agent import models
+    from a4agent import requirements
 
-    needs = models.needs(load("modern").expert_specs())
+    needs = requirements.needs(load("modern").expert_specs())
     assert all(need.info.licence == "Apache-2.0" and need.info.commercial for need in needs)
 
 
 def test_api_needs_no_large_model_here():
-    from a4agent import models
+    from a4agent import requirements
 
-    assert sum(need.info.gigabytes or 9 for need in models.needs(load("api").expert_specs())) < 0.5
+    assert sum(need.info.gigabytes or 9 for need in requirements.needs(load("api").expert_specs())) < 0.5
 
 
 def test_providers_without_their_extra_say_so(monkeypatch):

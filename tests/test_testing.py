@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from a4agent.errors import RateLimited
-from a4agent.experts.base import ChatAnswer, ChatRequest, EditRequest, Expert, ask
+from a4agent.protocols import ChatAnswer, ChatRequest, EditRequest, Expert, ask
 from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedSegmenter, ScriptedVLM, scripted_agent
 
 PHOTO = Image.new("RGB", (8, 6))

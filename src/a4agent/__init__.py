@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from a4agent import errors
-    from a4agent.affordance import Affordance, Given, Imagination, Query, Region, Target, Trace
     from a4agent.agent import A4Agent
-    from a4agent.images import load_image
+    from a4agent.imaging.load import load_image
+    from a4agent.types import Affordance, Given, Imagination, Query, Region, Target, Trace
 
 __version__ = "0.1.0"
 __all__ = [
@@ -32,14 +32,14 @@ __all__ = [
 
 _HOME = {
     "A4Agent": "agent",
-    "Affordance": "affordance",
-    "Given": "affordance",
-    "Imagination": "affordance",
-    "Query": "affordance",
-    "Region": "affordance",
-    "Target": "affordance",
-    "Trace": "affordance",
-    "load_image": "images",
+    "Affordance": "types",
+    "Given": "types",
+    "Imagination": "types",
+    "Query": "types",
+    "Region": "types",
+    "Target": "types",
+    "Trace": "types",
+    "load_image": "imaging.load",
 }
 
 

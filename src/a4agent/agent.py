@@ -13,14 +13,15 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
-from a4agent.affordance import Affordance, Given, Query, Status
-from a4agent.dreamer import Dreamer
+from a4agent import engine
 from a4agent.errors import A4Error, AnswerError, BudgetExceeded, InputError
-from a4agent.experts.base import Expert, Role
-from a4agent.images import MAX_PIXELS, load_image
-from a4agent.spotter import Spotter
-from a4agent.thinker import Thinker
-from a4agent.tracing import Recorder
+from a4agent.imaging.load import MAX_PIXELS, load_image
+from a4agent.protocols import Expert, Role, Segmenter
+from a4agent.stages.dreamer import Dreamer
+from a4agent.stages.recorder import Recorder
+from a4agent.stages.spotter import Spotter
+from a4agent.stages.thinker import Thinker
+from a4agent.types import Affordance, Given, Query, Status
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -148,14 +149,16 @@ class A4Agent:
         each with the `id` of its query (the pair's number), or in the samples' order with `ordered`. `settings`
         are fields of `engine.EngineSettings`.
         """
-        from a4agent import engine
-
         queries = (
             sample if isinstance(sample, Query) else Query(str(number), sample[0], sample[1])
             for number, sample in enumerate(samples)
         )
         for _, affordance in engine.run(self, queries, settings=engine.EngineSettings(**settings), ordered=ordered):
             yield affordance
+
+    @property
+    def segmenter(self) -> Segmenter | None:
+        return self.spotter.segmenter
 
     def experts(self) -> list[Expert]:
         """The agent's models, each once."""

@@ -19,9 +19,9 @@ from typing import Any, Literal, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from a4agent.data_files import toml
 from a4agent.errors import ConfigError, UnknownNameError, nearest
-from a4agent.images import MAX_PIXELS
+from a4agent.files import read_toml, toml
+from a4agent.imaging.load import MAX_PIXELS
 
 PROFILES = Path(__file__).parent / "profiles"
 FILE = "a4.toml"
@@ -191,20 +191,6 @@ def _merge(profile: str | Path, layers: Mapping[str, dict[str, Any]]) -> Setting
         return Settings.model_validate(merged)
     except ValidationError as error:
         raise _explained(error, str(profile), layers) from error
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """The contents of a TOML file.
-
-    Raises:
-        ConfigError: it cannot be read or is not TOML.
-    """
-    try:
-        return toml.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{str(path)!r} cannot be read: {error}") from error
-    except toml.TOMLDecodeError as error:
-        raise ConfigError(f"{str(path)!r} is not TOML: {error}") from error
 
 
 def parse_value(text: str) -> Any:

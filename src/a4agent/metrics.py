@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from a4agent.affordance import Status
 from a4agent.errors import DataError, UnknownNameError
+from a4agent.types import Status
 
 MEASURES = {"giou": "gIoU", "ciou": "cIoU", "p50": "P@50", "p50_95": "P@50:95"}
 """The measures of a `Scores`, and how people write them."""

@@ -23,12 +23,10 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from a4agent.agent import A4Agent
-from a4agent.dreamer import Dreamer
 from a4agent.errors import A4Error
-from a4agent.experts.base import (
+from a4agent.protocols import (
     ChatAnswer,
     ChatRequest,
-    Detection,
     DetectRequest,
     EditAnswer,
     EditRequest,
@@ -36,8 +34,10 @@ from a4agent.experts.base import (
     Segmentation,
     SegmentRequest,
 )
-from a4agent.spotter import Spotter
-from a4agent.thinker import Thinker
+from a4agent.stages.dreamer import Dreamer
+from a4agent.stages.spotter import Spotter
+from a4agent.stages.thinker import Thinker
+from a4agent.types import Detection
 
 RequestT = TypeVar("RequestT")
 ScriptedAnswerT = TypeVar("ScriptedAnswerT")

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from a4agent.affordance import Query
 from a4agent.benchmarks.registry import load
+from a4agent.types import Query
 from layouts import SECRET
 
 LAYOUTS = [

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from a4agent import rle
 from a4agent.benchmarks.folder import create
 from a4agent.errors import DataError
+from a4agent.imaging.masks import encode_rle
 from layouts import SECRET, boxed
 
 
@@ -50,7 +50,7 @@ def test_an_id_used_twice_is_an_error_that_names_both_rows(folder_path: Path) ->
 
 
 def test_masks_may_be_rle_or_many(folder_path: Path) -> None:
-    first, second = rle.encode(boxed((0, 0, 2, 2))), rle.encode(boxed((5, 5, 9, 8)))
+    first, second = encode_rle(boxed((0, 0, 2, 2))), encode_rle(boxed((5, 5, 9, 8)))
     row = {"image": "a/mug.v1.jpg", "instruction": "x"}
     write(folder_path, {**row, "mask": first}, {**row, "mask": [first, second, "a/mug.v1_mask.png"]})
 
@@ -89,7 +89,7 @@ def test_a_row_cannot_name_a_file_elsewhere(folder_path: Path, key: str) -> None
 
 
 def test_masks_of_two_sizes_cannot_be_united(folder_path: Path) -> None:
-    masks = [rle.encode(boxed((0, 0, 2, 2))), rle.encode(np.zeros((3, 3), bool))]
+    masks = [encode_rle(boxed((0, 0, 2, 2))), encode_rle(np.zeros((3, 3), bool))]
     write(folder_path, {"image": "a/mug.v1.jpg", "mask": masks, "instruction": "x"})
 
     with pytest.raises(DataError, match="two sizes"):

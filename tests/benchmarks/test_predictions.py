@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from a4agent import rle
 from a4agent.benchmarks.predictions import Predictions
 from a4agent.errors import DataError
+from a4agent.imaging.masks import encode_rle
 from layouts import boxed, mask
 
 ONE, TWO = boxed((0, 0, 3, 3)), boxed((5, 5, 9, 8))
@@ -32,16 +32,16 @@ def test_pictures_by_id_also_below_folders_and_with_dots(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("p.json", json.dumps({"x": rle.encode(ONE), "y": [rle.encode(ONE), rle.encode(TWO)], "z": None, "e": []})),
+        ("p.json", json.dumps({"x": encode_rle(ONE), "y": [encode_rle(ONE), encode_rle(TWO)], "z": None, "e": []})),
         (
             "p.json",
             json.dumps(
                 [
                     {"id": identity, "mask": value}
                     for identity, value in (
-                        ("x", rle.encode(ONE)),
-                        ("y", rle.encode(TWO)),
-                        ("y", rle.encode(ONE)),
+                        ("x", encode_rle(ONE)),
+                        ("y", encode_rle(TWO)),
+                        ("y", encode_rle(ONE)),
                         ("z", None),
                     )
                 ]
@@ -51,7 +51,7 @@ def test_pictures_by_id_also_below_folders_and_with_dots(tmp_path: Path) -> None
             "p.jsonl",
             "\n".join(
                 json.dumps({"id": identity, "mask": value})
-                for identity, value in (("x", rle.encode(ONE)), ("y", [rle.encode(ONE), rle.encode(TWO)]), ("z", None))
+                for identity, value in (("x", encode_rle(ONE)), ("y", [encode_rle(ONE), encode_rle(TWO)]), ("z", None))
             ),
         ),
     ],
@@ -85,7 +85,7 @@ def test_a_file_of_another_form_is_named(tmp_path: Path, content: str) -> None:
     "value", [{"size": [8, 12]}, {"size": [8, 12], "counts": [500, 1]}, {"size": [-1, 2], "counts": ""}]
 )
 def test_a_mask_that_cannot_be_read_is_an_error_for_its_sample_alone(tmp_path: Path, value: dict[str, Any]) -> None:
-    (tmp_path / "p.json").write_text(json.dumps({"bad": value, "good": rle.encode(ONE)}))
+    (tmp_path / "p.json").write_text(json.dumps({"bad": value, "good": encode_rle(ONE)}))
     predictions = Predictions(tmp_path)
 
     with pytest.raises(DataError, match="'bad'"):
@@ -94,7 +94,7 @@ def test_a_mask_that_cannot_be_read_is_an_error_for_its_sample_alone(tmp_path: P
 
 
 def test_masks_of_one_id_and_two_sizes(tmp_path: Path) -> None:
-    (tmp_path / "p.json").write_text(json.dumps({"x": [rle.encode(ONE), rle.encode(np.zeros((2, 2), bool))]}))
+    (tmp_path / "p.json").write_text(json.dumps({"x": [encode_rle(ONE), encode_rle(np.zeros((2, 2), bool))]}))
 
     with pytest.raises(DataError, match="different sizes"):
         Predictions(tmp_path).mask("x")

@@ -9,7 +9,7 @@ import pytest
 
 from a4agent.cli.main import main
 from a4agent.engine.cache import Cache
-from a4agent.experts.base import ChatAnswer
+from a4agent.protocols import ChatAnswer
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from a4agent import availability
+from a4agent import requirements
 from a4agent.cli.main import main
 
 
@@ -41,7 +41,7 @@ def test_it_says_what_is_wrong_with_the_settings(
 def test_it_names_the_command_for_what_is_not(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(availability, "EXTRAS", {**availability.EXTRAS, "offline": ("no_such_module_at_all",)})
+    monkeypatch.setattr(requirements, "EXTRAS", {**requirements.EXTRAS, "offline": ("no_such_module_at_all",)})
     with pytest.raises(SystemExit):
         main(["doctor"])
     said = capsys.readouterr().out

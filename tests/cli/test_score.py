@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import layouts
-from a4agent import rle
 from a4agent.benchmarks.registry import load
 from a4agent.cli.main import main
+from a4agent.imaging.masks import encode_rle
 
 
 def a4(*arguments: str | Path) -> int:
@@ -25,7 +25,7 @@ def data(tmp_path: Path) -> Path:
 
 
 def test_perfect_masks_score_one(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    masks = {sample.id: rle.encode(sample.truth.mask()) for sample in load("folder", data)}
+    masks = {sample.id: encode_rle(sample.truth.mask()) for sample in load("folder", data)}
     (tmp_path / "theirs.json").write_text(json.dumps(masks))
 
     assert a4("score", "folder", "--predictions", tmp_path / "theirs.json", "--data", data, "--json") == 0

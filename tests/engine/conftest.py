@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from a4agent.affordance import Query
 from a4agent.config import EngineSettings
+from a4agent.types import Query
 
 
 def picture(number: int) -> np.ndarray:

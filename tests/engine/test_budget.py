@@ -7,9 +7,9 @@ import time
 
 import pytest
 
-from a4agent.affordance import Step, Trace
 from a4agent.engine.budget import UNTIL_PRICED, Budget
 from a4agent.errors import BudgetExceeded
+from a4agent.types import Step, Trace
 
 
 def cost(dollars: float, *, cached: bool = False) -> Trace:

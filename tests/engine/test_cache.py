@@ -17,7 +17,8 @@ import pytest
 
 from a4agent.engine.cache import ABANDONED, Cache, default_folder
 from a4agent.errors import ConfigError
-from a4agent.experts.base import ChatAnswer, Detection
+from a4agent.protocols import ChatAnswer
+from a4agent.types import Detection
 
 
 def name(number: int) -> str:
@@ -190,7 +191,7 @@ def test_the_folder_is_a_setting_of_the_environment(monkeypatch: pytest.MonkeyPa
 WRITER = """
     import itertools, sys
     from a4agent.engine.cache import Cache
-    from a4agent.experts.base import ChatAnswer
+    from a4agent.protocols import ChatAnswer
 
     cache = Cache(__import__("pathlib").Path(sys.argv[1]), limit_bytes=float(sys.argv[2]))
     print("ready", flush=True)

@@ -14,7 +14,7 @@ from a4agent.engine.dispatch import PREPARED_AHEAD, Dispatcher, Job
 from a4agent.engine.retry import Breaker
 from a4agent.engine.stats import ExpertStats
 from a4agent.errors import A4Error, OutOfMemory, ProviderError, ProviderTimeout, ProviderUnavailable, RequestRejected
-from a4agent.experts.base import Answer, DetectRequest, Expert, ExpertBase, Segmentation, SegmentRequest
+from a4agent.protocols import Answer, DetectRequest, Expert, ExpertBase, Segmentation, SegmentRequest
 from a4agent.testing import ScriptedDetector
 
 PHOTO = Image.new("RGB", (8, 6))

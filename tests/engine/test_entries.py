@@ -11,7 +11,8 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 from a4agent.engine.entries import pack, unpack
-from a4agent.experts.base import Answer, ChatAnswer, Detection, EditAnswer, Segmentation, Usage
+from a4agent.protocols import Answer, ChatAnswer, EditAnswer, Segmentation
+from a4agent.types import Detection, Usage
 
 texts = st.text(st.characters(exclude_categories=("Cs",)), max_size=60)
 numbers = st.floats(width=32, allow_nan=True, allow_infinity=True)

@@ -17,16 +17,17 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from a4agent import engine, rle
-from a4agent.affordance import Affordance, Query
+from a4agent import engine
 from a4agent.agent import A4Agent
 from a4agent.engine import EngineSettings, Stats
 from a4agent.errors import OutOfMemory, ProviderTimeout, ProviderUnavailable, RateLimited
-from a4agent.experts.base import DetectRequest, SegmentRequest
-from a4agent.experts.openai_api import create
-from a4agent.spotter import Spotter
+from a4agent.experts.remote.chat import create
+from a4agent.imaging.masks import encode_rle
+from a4agent.protocols import DetectRequest, SegmentRequest
+from a4agent.stages.spotter import Spotter
+from a4agent.stages.thinker import Thinker
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter, output
-from a4agent.thinker import Thinker
+from a4agent.types import Affordance, Query
 from servers import Call, FaultyServer, Reply, chat, error
 
 SAMPLES = 1000
@@ -158,7 +159,7 @@ def test_a_thousand_samples_meet_faults_and_lose_nothing(openai_server: FaultySe
             continue
         assert answer.status == calm[sample].status == "ok", (sample, answer.error)
         assert answer.target == calm[sample].target
-        assert rle.encode(answer.mask) == rle.encode(calm[sample].mask)
+        assert encode_rle(answer.mask) == encode_rle(calm[sample].mask)
     for sample in sorted(set(FAULTY) - set(HOPELESS)):
         steps = stormy[sample].trace.steps
         asked_again = sum(step.attempts for step in steps) > len(steps) or len(steps) > len(calm[sample].trace.steps)

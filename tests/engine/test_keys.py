@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from a4agent.engine.keys import Keys
-from a4agent.experts.base import ChatRequest, DetectRequest, EditRequest, ExpertBase, Prompt, Request, SegmentRequest
-from a4agent.images import image_hash
+from a4agent.imaging.load import image_hash
+from a4agent.protocols import ChatRequest, DetectRequest, EditRequest, ExpertBase, Prompt, Request, SegmentRequest
 
 RED, BLUE = Image.new("RGB", (4, 3), "red"), Image.new("RGB", (4, 3), "blue")
 EXPERT = ExpertBase("x:y", revision="1", settings={"steps": 4})

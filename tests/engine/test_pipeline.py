@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from a4agent import engine
-from a4agent.affordance import Affordance, Given, Query, Target
 from a4agent.agent import A4Agent
 from a4agent.engine import EngineSettings, Stats
 from a4agent.errors import BudgetExceeded, CredentialError, ProviderUnavailable, RequestRejected
-from a4agent.experts.base import ChatAnswer, ChatRequest, Detection, DetectRequest, Usage
-from a4agent.spotter import Spotter
+from a4agent.protocols import ChatAnswer, ChatRequest, DetectRequest
+from a4agent.stages.spotter import Spotter
+from a4agent.stages.thinker import Thinker
 from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedSegmenter, ScriptedVLM, output, scripted_agent
-from a4agent.thinker import Thinker
+from a4agent.types import Affordance, Detection, Given, Query, Target, Usage
 
 Queries = Callable[[int], Iterator[Query]]
 

@@ -12,16 +12,16 @@ import pytest
 from PIL import Image
 
 from a4agent import engine
-from a4agent.affordance import Affordance, Query
 from a4agent.agent import A4Agent
-from a4agent.dreamer import Dreamer
 from a4agent.engine import EngineSettings, Stats
 from a4agent.engine.session import Session
 from a4agent.errors import AnswerError, ProviderTimeout, ProviderUnavailable, RateLimited, RequestRejected
-from a4agent.experts.base import ChatAnswer, ChatRequest, Detection, DetectRequest, EditRequest, Usage
-from a4agent.spotter import Spotter
+from a4agent.protocols import ChatAnswer, ChatRequest, DetectRequest, EditRequest
+from a4agent.stages.dreamer import Dreamer
+from a4agent.stages.spotter import Spotter
+from a4agent.stages.thinker import Thinker
 from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedSegmenter, ScriptedVLM, output, scripted_agent
-from a4agent.thinker import Thinker
+from a4agent.types import Affordance, Detection, Query, Usage
 
 Queries = Callable[[int], Iterator[Query]]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from a4agent.engine.stats import Stats
-from a4agent.experts.base import Usage
+from a4agent.types import Usage
 
 
 def test_a_line_an_expert_leaves_out_what_did_not_happen() -> None:

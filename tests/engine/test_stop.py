@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 
 from a4agent import engine
-from a4agent.affordance import Query
 from a4agent.agent import A4Agent
 from a4agent.engine.budget import UNTIL_PRICED
 from a4agent.engine.stop import Stop
-from a4agent.experts.base import ChatAnswer, ChatRequest, Usage
-from a4agent.spotter import Spotter
+from a4agent.protocols import ChatAnswer, ChatRequest
+from a4agent.stages.spotter import Spotter
+from a4agent.stages.thinker import Thinker
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, output
-from a4agent.thinker import Thinker
+from a4agent.types import Query, Usage
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 
@@ -81,9 +81,9 @@ INTERRUPTED = """
     import sys, time
     import numpy as np
     from a4agent import engine
-    from a4agent.affordance import Query
+    from a4agent.types import Query
     from a4agent.agent import A4Agent
-    from a4agent.spotter import Spotter
+    from a4agent.stages.spotter import Spotter
     from a4agent.testing import ScriptedDetector, ScriptedSegmenter
 
     agent = A4Agent(None, None, Spotter(ScriptedDetector(seconds=SECONDS, concurrency=2), ScriptedSegmenter()))
@@ -121,10 +121,10 @@ STOPPING = """
     import os, signal, threading, time
     import numpy as np
     from a4agent import engine
-    from a4agent.affordance import Query
+    from a4agent.types import Query
     from a4agent.agent import A4Agent
     from a4agent.errors import CredentialError
-    from a4agent.spotter import Spotter
+    from a4agent.stages.spotter import Spotter
     from a4agent.testing import ScriptedDetector, ScriptedSegmenter
 
     def detect(request):

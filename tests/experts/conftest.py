@@ -34,7 +34,7 @@ def _fixture(name: str, **options: Any) -> Callable[..., Path]:
     @pytest.fixture(scope="session")
     def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
         _torch_ready()
-        from a4agent.experts import random_weights
+        import random_weights
 
         label = "-".join([name, *options])
         return getattr(random_weights, f"save_{name}")(tmp_path_factory.mktemp("checkpoints") / label, **options)
@@ -117,8 +117,9 @@ POINT = (400, 500)
 def taught_rex_omni(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A Rex-Omni that has learnt to find PHRASE in a picture: the boxes BINS and the POINT, in bins of 999."""
     _torch_ready()
-    from a4agent.experts import random_weights, rex_omni
-    from a4agent.experts.local_chat import Turn
+    import random_weights
+    from a4agent.experts.local import rex_omni
+    from a4agent.experts.local.generation import Turn
     from a4agent.experts.rex_omni_answer import SYSTEM, detection_prompt, pointing_prompt
     from teaching import teach
 

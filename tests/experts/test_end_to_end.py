@@ -11,10 +11,12 @@ import json
 import numpy as np
 import pytest
 
+import random_weights
 from a4agent import A4Agent, prompts
-from a4agent.experts import qwen_image_edit, random_weights, transformers_vlm
-from a4agent.experts.base import EditRequest
-from a4agent.experts.local_chat import Turn
+from a4agent.experts.local import image_edit as qwen_image_edit
+from a4agent.experts.local import transformers_vlm
+from a4agent.experts.local.generation import Turn
+from a4agent.protocols import EditRequest
 
 pytest.importorskip("torch")
 pytest.importorskip("diffusers")

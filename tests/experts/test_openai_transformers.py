@@ -21,7 +21,7 @@ import pytest
 
 from a4agent.errors import RequestRejected
 from a4agent.experts import registry
-from a4agent.experts.base import ChatAnswer, ChatRequest
+from a4agent.protocols import ChatAnswer, ChatRequest
 
 ROOT = Path(__file__).parents[2]
 TORCHVISION = Path(sys.prefix) / "torchvision"
@@ -112,7 +112,7 @@ def test_what_it_rejects_is_said_in_its_own_words(served, tiny_qwen_vl, noise):
 
 def test_it_is_a_detector_too(served, tiny_qwen_vl, noise):
     from a4agent.errors import AnswerError
-    from a4agent.experts.base import DetectRequest
+    from a4agent.protocols import DetectRequest
 
     settings = {"expert": f"openai:{tiny_qwen_vl}", "base_url": served, "server": "transformers", "timeout": 60.0}
     detector = registry.create("vlm-grounding:qwen2.5-vl", "detector", {"vlm": settings, "max_tokens": 8})

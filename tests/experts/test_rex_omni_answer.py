@@ -127,5 +127,5 @@ def test_prompts_are_the_trained_ones():
 
 
 def test_the_reader_needs_no_torch():
-    code = "import sys; from a4agent.experts.rex_omni import read_answer; sys.exit('torch' in sys.modules)"
+    code = "import sys; from a4agent.experts.local.rex_omni import read_answer; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

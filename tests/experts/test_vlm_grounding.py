@@ -15,8 +15,9 @@ from PIL import Image
 
 from a4agent.errors import ConfigError, ProviderUnavailable, TruncatedAnswer, UnknownNameError, UnreadableAnswer
 from a4agent.experts import registry
-from a4agent.experts.base import ChatAnswer, Detection, DetectRequest, ExpertBase, Usage
 from a4agent.experts.vlm_grounding import VlmDetector, create, dialects, smart_resize
+from a4agent.protocols import ChatAnswer, DetectRequest, ExpertBase
+from a4agent.types import Detection, Usage
 from servers import chat, error
 
 PHOTO = Image.new("RGB", (640, 480), "white")

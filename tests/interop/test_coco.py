@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from a4agent import rle
-from a4agent.affordance import Affordance, Region
+from a4agent.imaging.masks import decode_rle
 from a4agent.interop.coco import to_coco
+from a4agent.types import Affordance, Region
 
 # pycocotools 2.0.11 makes arrays in a way that numpy 2 warns of.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation doesn't accept:DeprecationWarning")
@@ -26,7 +26,7 @@ def regions() -> tuple[Region, ...]:
 def test_annotations_are_what_the_coco_tools_read(capsys: pytest.CaptureFixture[str]) -> None:
     from pycocotools.coco import COCO
 
-    annotations = Affordance("x", (30, 20), regions=regions()).to_coco(image_id=7, category_id=3)
+    annotations = to_coco(Affordance("x", (30, 20), regions=regions()), image_id=7, category_id=3)
     dataset = COCO()
     dataset.dataset = {
         "images": [{"id": 7, "width": 30, "height": 20}],
@@ -57,7 +57,7 @@ def test_a_blank_mask_has_an_empty_box() -> None:
     (row,) = to_coco(Affordance("x", (30, 20), regions=(blank,)))
     assert row["bbox"] == [0, 0, 0, 0]
     assert row["area"] == 0
-    assert not rle.decode(row["segmentation"]).any()
+    assert not decode_rle(row["segmentation"]).any()
 
 
 def test_nothing_found_is_an_empty_list() -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from a4agent.affordance import Affordance, Imagination, Region, Target
 from a4agent.interop import rerun as adapter
 from a4agent.interop.lift import Intrinsics, lift
+from a4agent.types import Affordance, Imagination, Region, Target
 
 rr = pytest.importorskip("rerun", reason="needs the extra interop")
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from a4agent.affordance import Affordance, Region, Target
 from a4agent.interop import ros2
 from a4agent.interop.lift import Intrinsics, lift
+from a4agent.types import Affordance, Region, Target
 
 DEFINITIONS: dict[str, dict[str, str]] = {
     "Time": {"sec": "int", "nanosec": "int"},

@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from a4agent.affordance import Affordance, Region, Target
+from a4agent.interop.supervision import to_supervision
+from a4agent.types import Affordance, Region, Target
 
 pytest.importorskip("supervision", reason="needs the extra interop")
 
@@ -21,7 +22,7 @@ def test_detections_can_be_filtered_and_drawn() -> None:
 
     target = Target("t", "drawer", "the handle of the drawer")
     regions = (region([4, 2, 9, 6], 0.9, [[6, 3]]), region(None, 0.4, [[6, 3], [7, 4]]))
-    detections = Affordance("open", (30, 20), target=target, regions=regions).to_supervision()
+    detections = to_supervision(Affordance("open", (30, 20), target=target, regions=regions))
     assert detections.xyxy.tolist() == [[4, 2, 9, 6], [4, 2, 9, 6]]
     assert detections.data["class_name"].tolist() == ["the handle of the drawer"] * 2
     confident = detections[detections.confidence > 0.5]
@@ -33,11 +34,11 @@ def test_detections_can_be_filtered_and_drawn() -> None:
 
 def test_one_missing_score_means_no_confidence() -> None:
     regions = (region(None, 0.9, []), region(None, None, []))
-    assert Affordance("open", (30, 20), regions=regions).to_supervision().confidence is None
+    assert to_supervision(Affordance("open", (30, 20), regions=regions)).confidence is None
 
 
 def test_nothing_found_is_no_detection() -> None:
-    detections = Affordance("open", (30, 20)).to_supervision()
+    detections = to_supervision(Affordance("open", (30, 20)))
     assert len(detections) == 0
     assert detections.mask.shape == (0, 20, 30)
-    assert len(Affordance("open", (0, 0), status="error").to_supervision()) == 0
+    assert len(to_supervision(Affordance("open", (0, 0), status="error"))) == 0

@@ -12,17 +12,18 @@ import pytest
 from PIL import Image
 
 import pictures
-from a4agent import metrics, rle
+from a4agent import metrics
 from a4agent.agent import A4Agent
 from a4agent.benchmarks import registry
 from a4agent.benchmarks.base import Sample
 from a4agent.config import Settings
 from a4agent.errors import BudgetExceeded, ConfigError, CredentialError, DataError
+from a4agent.imaging.masks import decode_rle
 from a4agent.runs import scores
 from a4agent.runs.bench import Bench, Selection
 from a4agent.runs.oracle import Oracle
 from a4agent.runs.store import read_run
-from a4agent.spotter import Spotter
+from a4agent.stages.spotter import Spotter
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter
 
 MakeBench = Callable[..., Bench]
@@ -38,7 +39,7 @@ def test_every_sample_has_a_record_with_its_score(bench: MakeBench, data: Path) 
         number = int(sample.id.split()[-1])
         assert record.status == pictures.STATUSES.get(number % 10, "ok")
         truth = sample.truth.mask()
-        assert np.array_equal(rle.decode(record.truth), truth)
+        assert np.array_equal(decode_rle(record.truth), truth)
         assert record.scored == metrics.measure(record.affordance.mask, truth, record.status)
         assert record.category == f"kind {number % 3}"
         assert record.row["instruction"] == sample.query.instruction
@@ -48,7 +49,7 @@ def test_the_record_is_all_there_is_to_score(bench: MakeBench) -> None:
     """The scores can be computed again from samples.jsonl alone, masks and truths included."""
     run = bench().run(pictures.agent())
     rows = [
-        metrics.measure(record.affordance.mask, rle.decode(record.truth), record.status)
+        metrics.measure(record.affordance.mask, decode_rle(record.truth), record.status)
         for record in run.records.values()
     ]
     assert metrics.score(rows) == scores.score(run)

@@ -17,7 +17,7 @@ import pytest
 
 import killable
 import pictures
-from a4agent.folders import is_draft
+from a4agent.files import is_draft
 from a4agent.runs import scores
 from a4agent.runs.store import Run, read_run
 

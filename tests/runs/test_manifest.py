@@ -9,14 +9,7 @@ import pytest
 
 from a4agent.config import Settings
 from a4agent.errors import DataError
-from a4agent.runs.manifest import (
-    Manifest,
-    differences,
-    git_state,
-    prompt_hashes,
-    settings_identity,
-    settings_told,
-)
+from a4agent.runs.manifest import Manifest, differences, git_state, prompt_hashes, settings_identity, settings_told
 
 
 def made(**changes: Any) -> Settings:

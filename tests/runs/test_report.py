@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pictures
-from a4agent import rle
 from a4agent.errors import DataError
+from a4agent.imaging.masks import decode_rle, encode_rle
 from a4agent.runs import scores
 from a4agent.runs.bench import Bench, Selection
 from a4agent.runs.report import _stages, picture_side, render, small_mask, write_report
@@ -104,7 +104,7 @@ def test_a_missing_picture_does_not_hide_the_rest(run: Run) -> None:
 @given(st.integers(1, 30), st.integers(1, 30), st.integers(0, 2**32 - 1))
 def test_run_lengths_are_those_of_the_mask(height: int, width: int, seed: int) -> None:
     mask = np.random.default_rng(seed).random((height, width)) < 0.5
-    runs = small_mask(rle.encode(mask), (width, height))
+    runs = small_mask(encode_rle(mask), (width, height))
     values = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
     assert np.array_equal(values.reshape(width, height).T, mask)
 
@@ -112,7 +112,7 @@ def test_run_lengths_are_those_of_the_mask(height: int, width: int, seed: int) -
 def test_masks_are_brought_to_the_size_of_the_embedded_picture() -> None:
     mask = np.zeros((1000, 2000), dtype=bool)
     mask[:, 1000:] = True
-    assert small_mask(rle.encode(mask), (200, 100)) == [10000, 10000]
+    assert small_mask(encode_rle(mask), (200, 100)) == [10000, 10000]
     assert [picture_side(count) for count in (10, 500, 3000)] == [640, 480, 320]
 
 
@@ -216,7 +216,7 @@ def test_masks_are_drawn_where_they_are(run: Run, page: Any) -> None:
     page.uncheck("[data-layer=boxes]")
     page.uncheck("[data-layer=points]")
     record = run.records["picture 4"]
-    truth, found = rle.decode(record.truth), record.affordance.mask
+    truth, found = decode_rle(record.truth), record.affordance.mask
 
     canvas = "document.querySelector(\"[data-id='picture 4'] canvas\").getContext('2d')"
 

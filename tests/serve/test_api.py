@@ -18,13 +18,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from a4agent.affordance import Affordance
 from a4agent.agent import A4Agent
 from a4agent.errors import CredentialError, UnreadableAnswer
 from a4agent.serve.limits import Limits
-from a4agent.spotter import Spotter
+from a4agent.stages.spotter import Spotter
+from a4agent.stages.thinker import Thinker
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, output, scripted_agent
-from a4agent.thinker import Thinker
+from a4agent.types import Affordance
 
 Serve = Callable[..., Any]
 ONE, BATCH = "/v1/affordances", "/v1/affordances/batch"
@@ -174,7 +174,7 @@ def test_a_models_bad_answer_is_a_status_not_an_http_error(serve: Serve, photo: 
 
 
 def test_a_score_that_is_not_a_number_does_not_break_the_json(serve: Serve, photo: bytes) -> None:
-    from a4agent.experts.base import Detection
+    from a4agent.types import Detection
 
     detector = ScriptedDetector(
         lambda request: Detection(np.array([[10, 10, 50, 50]], np.float32), scores=np.array([np.nan], np.float32))

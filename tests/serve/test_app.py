@@ -18,13 +18,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from a4agent.affordance import Affordance
 from a4agent.agent import A4Agent
-from a4agent.availability import Missing
 from a4agent.config import Settings, load_settings
+from a4agent.requirements import Missing
 from a4agent.serve import run
 from a4agent.serve.app import EXAMPLES, HERE, create_page
 from a4agent.testing import scripted_agent
+from a4agent.types import Affordance
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking"

@@ -12,11 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from a4agent import overlay
-from a4agent.affordance import Affordance, Imagination, Region, Step, Target, Trace
-from a4agent.experts.base import Detection
+from a4agent.imaging import overlay
 from a4agent.serve import cards
 from a4agent.serve.cards import Progress
+from a4agent.types import Affordance, Detection, Imagination, Region, Step, Target, Trace
 
 PHOTO = Image.new("RGB", (80, 60), (90, 120, 150))
 TARGET = Target("open", "drawer", "the handle of the drawer", "It is there to be pulled.")

@@ -9,9 +9,9 @@ from PIL import Image
 from a4agent.agent import A4Agent
 from a4agent.errors import CredentialError
 from a4agent.serve.follow import follow
-from a4agent.spotter import Spotter
+from a4agent.stages.spotter import Spotter
+from a4agent.stages.thinker import Thinker
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, output, scripted_agent
-from a4agent.thinker import Thinker
 
 PHOTO = Image.new("RGB", (80, 60), "grey")
 

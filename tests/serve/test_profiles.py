@@ -3,9 +3,9 @@ from __future__ import annotations
 import pytest
 
 from a4agent.agent import A4Agent
-from a4agent.availability import Missing
 from a4agent.config import Settings, load_settings
 from a4agent.errors import CredentialError
+from a4agent.requirements import Missing
 from a4agent.serve.profiles import Profiles
 from a4agent.testing import scripted_agent
 

@@ -9,15 +9,15 @@ import pytest
 from PIL import Image
 
 from a4agent.agent import A4Agent
-from a4agent.availability import Missing
 from a4agent.config import Settings, load_settings
 from a4agent.errors import CredentialError, UnreadableAnswer
-from a4agent.experts.base import Detection
+from a4agent.requirements import Missing
 from a4agent.serve.profiles import Profiles
 from a4agent.serve.visit import Visit, _sentence
-from a4agent.spotter import Spotter
+from a4agent.stages.spotter import Spotter
+from a4agent.stages.thinker import Thinker
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, scripted_agent
-from a4agent.thinker import Thinker
+from a4agent.types import Detection
 
 pytest.importorskip("gradio", reason="needs the extra app")
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from a4agent.affordance import Affordance, Imagination, Region, Target
-from a4agent.experts.base import Detection
 from a4agent.serve import wire
+from a4agent.types import Affordance, Detection, Imagination, Region, Target
 
 
 def affordance(score: float | None = 0.5) -> Affordance:

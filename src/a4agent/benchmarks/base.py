@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from a4agent.affordance import Query
+from a4agent.types import Query
 
 
 @dataclass(frozen=True, eq=False)

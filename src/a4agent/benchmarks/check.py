@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from a4agent.benchmarks.base import Benchmark, Sample
 from a4agent.errors import A4Error, DataError
-from a4agent.images import load_image
+from a4agent.imaging.load import load_image
 
 Kind = Literal["image missing", "image broken", "mask missing", "mask broken", "refused"]
 

@@ -12,8 +12,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from a4agent import rle
 from a4agent.errors import A4Error, DataError
+from a4agent.imaging.masks import decode_rle
 
 MAX_PIXELS = 100_000_000
 
@@ -90,7 +90,7 @@ def read_rle(value: Any, where: str) -> np.ndarray:
         DataError: it is not one; the message names `where` it stands.
     """
     try:
-        return rle.decode(value)
+        return decode_rle(value)
     except A4Error as error:
         raise DataError(f"{where}: {error}") from error
 

@@ -25,10 +25,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from a4agent.affordance import Query
 from a4agent.benchmarks import files
 from a4agent.benchmarks.base import Benchmark, Sample, Truth
 from a4agent.errors import DataError
+from a4agent.types import Query
 
 INDEX = "samples.jsonl"
 WORDS = ("object_name", "object_part", "affordance", "category", "answer")

@@ -20,10 +20,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from a4agent.affordance import Query
 from a4agent.benchmarks import files
 from a4agent.benchmarks.base import Benchmark, Sample, Truth
 from a4agent.errors import ConfigError, DataError
+from a4agent.types import Query
 
 SOURCE = "data set zifuwan/InstructPart on Hugging Face: the folder test/ with images, masks and data_test.json"
 INSTRUCTIONS = 6

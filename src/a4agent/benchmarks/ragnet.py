@@ -23,10 +23,10 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, cast
 
-from a4agent.affordance import Query
 from a4agent.benchmarks import files, pickles
 from a4agent.benchmarks.base import Benchmark, Sample, Truth
 from a4agent.errors import DataError
+from a4agent.types import Query
 
 BROKEN_FRAME = "EK_frame_0000040462.jpg"
 """The one picture of 3DOI that nobody can decode; the published counts leave it out."""

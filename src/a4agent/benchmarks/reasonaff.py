@@ -23,10 +23,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from a4agent.affordance import Query
 from a4agent.benchmarks import files
 from a4agent.benchmarks.base import Benchmark, Sample, Truth
 from a4agent.errors import DataError, require
+from a4agent.types import Query
 
 STATE = "state.json"
 SOURCE = "the data set ReasonAff of Affordance-R1 on Hugging Face, written with save_to_disk (a folder with test/)"

@@ -14,6 +14,7 @@ and nothing is imported before it is asked for.
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,28 @@ def factory_of(name: str) -> Factory:
         ConfigError: it is registered, but its module cannot be loaded.
     """
     return plugins.find(name)
+
+
+def maker_of(name: str) -> Callable[..., Path]:
+    """The function that makes this benchmark's data: `make` in its reader's module.
+
+    Raises:
+        UnknownNameError: no such benchmark.
+        ConfigError: its data has to be downloaded.
+    """
+    module = sys.modules[factory_of(name).__module__]
+    if not hasattr(module, "make"):
+        raise ConfigError(f"the data of {name!r} has to be downloaded; `a4 data list` shows the benchmarks")
+    return module.make
+
+
+def missing(name: str) -> str:
+    """What a benchmark lacks on this machine to make its own data, and the command that fixes it; "" if nothing."""
+    try:
+        maker_of(name)
+    except ConfigError as error:
+        return str(error)
+    return getattr(sys.modules[factory_of(name).__module__], "missing", str)()
 
 
 def options_of(factory: Factory) -> dict[str, Any]:

@@ -29,10 +29,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from a4agent.affordance import Query
 from a4agent.benchmarks import files
 from a4agent.benchmarks.base import Benchmark, Sample, Truth
 from a4agent.errors import DataError, UnknownNameError
+from a4agent.types import Query
 
 SOURCE = "part-affordance-dataset-tools.tar.gz (2.99 GB) from the University of Maryland's Part Affordance Dataset page"
 AFFORDANCES = ("grasp", "cut", "scoop", "contain", "pound", "support", "wrap-grasp")

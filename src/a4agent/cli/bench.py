@@ -18,12 +18,12 @@ from a4agent.cli.common import ProfileOption, SetOption
 from a4agent.errors import A4Error, BudgetExceeded, ConfigError, UnknownNameError
 
 if TYPE_CHECKING:
-    from a4agent.affordance import Status
     from a4agent.agent import A4Agent
     from a4agent.config import Settings
     from a4agent.runs.bench import Bench, Progress
     from a4agent.runs.store import Run
     from a4agent.runs.suites import System
+    from a4agent.types import Status
 
 SHOWN = 5
 

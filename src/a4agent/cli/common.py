@@ -54,10 +54,10 @@ def build_agent(settings: Settings) -> A4Agent:
         ModelFilesError: a model is not here and the hub cannot be reached; the message names all of them.
         ConfigError: an expert that cannot be built.
     """
-    from a4agent import models
+    from a4agent import requirements
     from a4agent.agent import A4Agent
 
-    for need in models.check(settings.expert_specs()):
+    for need in requirements.check(settings.expert_specs()):
         say(f"fetching {need.reference}: {need.terms}")
     return A4Agent.from_settings(settings)
 

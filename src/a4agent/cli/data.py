@@ -87,7 +87,7 @@ def queries(
 
 
 def _written(image: Any, identity: str, folder: Path | None) -> Path:
-    from a4agent.images import load_image
+    from a4agent.imaging.load import load_image
 
     if folder is None:
         raise InputError("this dataset keeps its pictures inside a table: give a folder for them with --images FOLDER")

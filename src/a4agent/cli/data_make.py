@@ -26,11 +26,11 @@ def make(
 
     Needs the extra `sim` and three packages of assets; where they are missing, the error says how to get them.
     """
-    from a4agent.sim.make import make_set
+    from a4agent.benchmarks.registry import maker_of
 
     with common.bar() as progress:
         task = progress.add_task("rendering", total=n)
-        folder = make_set(
+        folder = maker_of(benchmark)(
             out,
             n=n,
             seed=seed,

@@ -12,9 +12,10 @@ from typing import Annotated, Any
 import typer
 
 from a4agent import __version__
-from a4agent.availability import EXTRAS, check_profile, missing_modules
+from a4agent.benchmarks import registry
 from a4agent.config import load_settings, profile_names
 from a4agent.errors import A4Error
+from a4agent.requirements import EXTRAS, check_profile, missing_modules
 
 SIZES = {
     "offline": "about 300 MB",
@@ -55,29 +56,13 @@ def examine() -> dict[str, Any]:
             extra: {"missing": missing_modules(extra), "size": SIZES[extra], "fix": f"pip install 'a4agent[{extra}]'"}
             for extra in EXTRAS
         },
-        "simulator": _simulator(),
+        "simulator": registry.missing("sim"),
         "settings": _settings(),
         "profiles": {
             name: [{"what": missing.what, "fix": missing.fix} for missing in check_profile(name)]
             for name in profile_names()
         },
     }
-
-
-def _simulator() -> str:
-    """What stands between this machine and `a4 data make sim`; "" if nothing does."""
-    if missing_modules("sim"):
-        return "pip install 'a4agent[sim]'"
-    from a4agent.sim.assets import check_installed
-    from a4agent.sim.backend import check_renderer
-    from a4agent.sim.things import built_in
-
-    try:
-        check_installed(built_in())
-        check_renderer()
-    except A4Error as error:
-        return str(error)
-    return ""
 
 
 def _settings() -> str:

@@ -17,7 +17,7 @@ from a4agent.errors import ModelFilesError, ResourceError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from a4agent.models import Need
+    from a4agent.requirements import Need
 
 _NAME_WIDTH = 40
 
@@ -133,25 +133,25 @@ def _needs(names: list[str], sets: list[str] | None) -> list[Need]:
 
 
 def _needs_of(name: str, sets: list[str] | None) -> list[Need]:
-    from a4agent import models
+    from a4agent import requirements
     from a4agent.config import ExpertSettings, profile_names
     from a4agent.errors import UnknownNameError
 
     if name in profile_names() or name.endswith(".toml"):
-        return models.needs(common.settings(name, sets).expert_specs())
+        return requirements.needs(common.settings(name, sets).expert_specs())
     if ":" in name and "/" not in name.partition(":")[0] and "\\" not in name:
-        return models.needs({name: ExpertSettings(expert=name)})
+        return requirements.needs({name: ExpertSettings(expert=name)})
     try:
-        return [models.need(name)]
+        return [requirements.need(name)]
     except ModelFilesError as error:
-        known = [*profile_names(), *models.catalogue()]
+        known = [*profile_names(), *requirements.catalogue()]
         raise UnknownNameError.of("profile or model", name, known) from error
 
 
 def _catalogue() -> list[Need]:
-    from a4agent import models
+    from a4agent import requirements
 
-    return [models.need(name) for name in models.catalogue()]
+    return [requirements.need(name) for name in requirements.catalogue()]
 
 
 def _as_dict(need: Need) -> dict[str, Any]:

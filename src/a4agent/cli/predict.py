@@ -18,8 +18,8 @@ from a4agent.cli.common import ProfileOption, SetOption, say
 from a4agent.errors import InputError
 
 if TYPE_CHECKING:
-    from a4agent.affordance import Affordance
     from a4agent.config import Settings
+    from a4agent.types import Affordance
 
 
 def predict(
@@ -38,7 +38,7 @@ def predict(
 
     Writes OUT/NAME/ with affordance.json, mask.png, overlay.png and, when dreamt, imagination.png.
     """
-    from a4agent.saving import make_folder
+    from a4agent.imaging.save import make_folder
 
     images, instruction = split_arguments(arguments)
     settings = common.settings(profile, sets, engine__cache=cache, engine__max_cost=max_cost)
@@ -53,7 +53,7 @@ def split_arguments(arguments: list[str]) -> tuple[list[Path], str]:
     Raises:
         InputError: no image, no instruction, an empty folder or a glob that matches nothing.
     """
-    from a4agent.images import SUFFIXES, UNREAD, find_images
+    from a4agent.imaging.load import SUFFIXES, UNREAD, find_images
 
     *sources, instruction = arguments
     if not sources:
@@ -123,7 +123,7 @@ def _run(settings: Settings, samples: dict[str, Path], instruction: str, out: Pa
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
     from a4agent import engine
-    from a4agent.affordance import Query
+    from a4agent.types import Query
 
     queries = (Query(name, path, instruction) for name, path in samples.items())
     failed = 0
@@ -160,11 +160,9 @@ def _tell_in_short(affordance: Affordance, image: Path) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    from a4agent.overlay import caption_of
-
     status = (f"{affordance.status:8}", "green" if affordance.status == "ok" else "red")
     console = Console(highlight=False, emoji=False, soft_wrap=True)
-    console.print(Text.assemble(status, f"{image}: {caption_of(affordance)}"))
+    console.print(Text.assemble(status, f"{image}: {affordance.summary}"))
 
 
 def _tell(affordance: Affordance, folder: Path | None) -> None:
@@ -172,11 +170,9 @@ def _tell(affordance: Affordance, folder: Path | None) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    from a4agent.overlay import caption_of
-
     console = Console(highlight=False, emoji=False, soft_wrap=True)
     good = affordance.status == "ok"
-    rows: list[tuple[str, str]] = [("part" if good else "answer", caption_of(affordance))]
+    rows: list[tuple[str, str]] = [("part" if good else "answer", affordance.summary)]
     if affordance.target and affordance.target.thinking:
         rows.append(("thinking", affordance.target.thinking))
     if affordance.imagination:

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from a4agent import models
-from a4agent.availability import check_profile
+from a4agent import requirements
 from a4agent.config import Settings, load_profile, profile_names
+from a4agent.requirements import check_profile
 
 
 def profiles(
@@ -41,7 +41,7 @@ def downloads(settings: Settings) -> list[str]:
     """The checkpoints of a profile with their sizes, here or not; `a4 models list` says more."""
     return [
         f"{need.name} ({need.info.gigabytes:g} GB)" if need.info.gigabytes else need.name
-        for need in models.needs(settings.expert_specs())
+        for need in requirements.needs(settings.expert_specs())
     ]
 
 

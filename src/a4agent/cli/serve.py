@@ -43,7 +43,7 @@ def serve(
     for module in ("fastapi", "uvicorn", "python_multipart", "prometheus_client"):
         require(module, extra="serve")
     from a4agent.agent import A4Agent
-    from a4agent.availability import check_settings
+    from a4agent.requirements import check_settings
     from a4agent.serve import auth, run
     from a4agent.serve.api import create_app
     from a4agent.serve.limits import Limits

@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 import time
 
-from a4agent.affordance import Trace
 from a4agent.errors import BudgetExceeded
+from a4agent.types import Trace
 
 UNTIL_PRICED = 4
 """Samples that may run at once while none has ended and shown what one costs."""

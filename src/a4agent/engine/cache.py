@@ -23,8 +23,8 @@ from pathlib import Path
 
 from a4agent.engine import entries
 from a4agent.errors import ConfigError
-from a4agent.experts.base import Answer, ChatAnswer
-from a4agent.folders import is_draft, replace_file, system_cache
+from a4agent.files import is_draft, replace_file, system_cache
+from a4agent.protocols import Answer, ChatAnswer
 
 log = logging.getLogger("a4agent")
 

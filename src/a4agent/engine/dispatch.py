@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, cast
 from a4agent.engine.retry import Breaker, Pace, fresh
 from a4agent.engine.stats import ExpertStats
 from a4agent.errors import A4Error, OutOfMemory, ProviderError, ProviderTimeout, RateLimited
-from a4agent.experts.base import Answer, Expert, Prepares, Request, ask
+from a4agent.protocols import Answer, Expert, Prepares, Request, ask
 
 if TYPE_CHECKING:
     from PIL.Image import Image

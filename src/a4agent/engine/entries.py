@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from a4agent import rle
 from a4agent.errors import DataError
-from a4agent.experts.base import Answer, ChatAnswer, Detection, EditAnswer, Segmentation, Usage
+from a4agent.imaging.masks import decode_rle, encode_rle
+from a4agent.protocols import Answer, ChatAnswer, EditAnswer, Segmentation
+from a4agent.types import Detection, Usage
 
 
 def pack(answer: Answer) -> bytes:
@@ -31,14 +32,14 @@ def pack(answer: Answer) -> bytes:
             "points_xy": _listed(answer.points_xy),
             "scores": None if answer.scores is None else _listed(answer.scores),
             "points_derived": answer.points_derived,
-            "masks": None if answer.masks is None else [rle.encode(mask) for mask in answer.masks],
+            "masks": None if answer.masks is None else [encode_rle(mask) for mask in answer.masks],
             "masks_shape": None if answer.masks is None else list(answer.masks.shape),
             "text": answer.text,
         }
     else:
         height, width = answer.masks.shape[2:]
         fields |= {
-            "masks": [rle.encode(mask) for mask in answer.masks.reshape(-1, height, width)],
+            "masks": [encode_rle(mask) for mask in answer.masks.reshape(-1, height, width)],
             "masks_shape": list(answer.masks.shape),
             "predicted_iou": _listed(answer.predicted_iou),
         }
@@ -98,4 +99,4 @@ def _masks(fields: dict[str, Any]) -> np.ndarray:
     shape = fields["masks_shape"]
     if not fields["masks"]:
         return np.zeros(shape, bool)
-    return np.stack([rle.decode(mask) for mask in fields["masks"]]).reshape(shape)
+    return np.stack([decode_rle(mask) for mask in fields["masks"]]).reshape(shape)

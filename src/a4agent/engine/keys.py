@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from a4agent.experts.base import Expert, Request
-from a4agent.images import image_hash
+from a4agent.imaging.load import image_hash
+from a4agent.protocols import Expert, Request
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -8,13 +8,13 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 
-from a4agent.affordance import Affordance, Given, Query
-from a4agent.agent import A4Agent
 from a4agent.config import EngineSettings
 from a4agent.engine.budget import Budget
 from a4agent.engine.session import Session
 from a4agent.engine.stats import Stats
 from a4agent.engine.stop import Stop
+from a4agent.protocols import Agent
+from a4agent.types import Affordance, Given, Query
 
 log = logging.getLogger("a4agent")
 
@@ -24,7 +24,7 @@ Answered = tuple[int, Query, Affordance]
 
 
 def run(
-    agent: A4Agent,
+    agent: Agent,
     queries: Iterable[Query],
     *,
     settings: EngineSettings | None = None,

@@ -13,8 +13,6 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any, Literal, cast
 
-from a4agent.affordance import Affordance, Given, Query
-from a4agent.agent import A4Agent
 from a4agent.config import EngineSettings
 from a4agent.engine.cache import Cache, default_folder
 from a4agent.engine.dispatch import Dispatcher, Job
@@ -22,11 +20,12 @@ from a4agent.engine.keys import Keys
 from a4agent.engine.retry import Breaker, backoff, fresh
 from a4agent.engine.stats import Stats
 from a4agent.errors import A4Error, BudgetExceeded, ProviderError
-from a4agent.experts.base import (
+from a4agent.protocols import (
+    VERBS,
+    Agent,
     Answer,
     ChatAnswer,
     ChatRequest,
-    Detection,
     DetectRequest,
     EditAnswer,
     EditRequest,
@@ -36,7 +35,7 @@ from a4agent.experts.base import (
     SegmentRequest,
     with_usage,
 )
-from a4agent.experts.registry import VERBS
+from a4agent.types import Affordance, Detection, Given, Query
 
 MOST_IN_FLIGHT = 128
 
@@ -54,7 +53,7 @@ class _Sample(threading.local):
 class Session:
     """The experts of one run behind their queues. Close it when the run is over; the agent stays open."""
 
-    def __init__(self, agent: A4Agent, settings: EngineSettings, stats: Stats | None = None) -> None:
+    def __init__(self, agent: Agent, settings: EngineSettings, stats: Stats | None = None) -> None:
         self.settings = settings
         self.stats = stats or Stats()
         folder = settings.cache_dir or default_folder()
@@ -66,7 +65,7 @@ class Session:
         self._queued = [QueuedExpert(expert, self) for expert in agent.experts()]
         twins = {id(queued.expert): queued for queued in self._queued}
         self._agent = agent.with_experts(lambda expert: twins[id(expert)])
-        segmenter = agent.spotter.segmenter
+        segmenter = agent.segmenter
         self._segmenter = None if segmenter is None else twins[id(segmenter)]
         if settings.max_sample_seconds is not None:
             threading.Thread(target=self._watch, args=(settings.max_sample_seconds,), daemon=True).start()
@@ -255,7 +254,7 @@ def _role(expert: Expert) -> str:
     return next((role for role, verb in VERBS.items() if hasattr(expert, verb)), "expert")
 
 
-def _enough_in_flight(agent: A4Agent) -> int:
+def _enough_in_flight(agent: Agent) -> int:
     """Samples that keep the slowest expert busy.
 
     No expert but the slowest is busy all the time, so on average no more than the sum of what the experts can

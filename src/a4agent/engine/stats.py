@@ -7,8 +7,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass, field
 
-from a4agent.affordance import Affordance, Trace
-from a4agent.experts.base import Usage
+from a4agent.types import Affordance, Trace, Usage
 
 
 @dataclass

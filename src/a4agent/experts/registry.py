@@ -3,7 +3,7 @@
 A provider is an entry point of the group `a4agent.experts` that names a factory:
 
     [project.entry-points."a4agent.experts"]
-    sam2 = "a4agent.experts.sam2:create"
+    sam2 = "a4agent.experts.local.sam2:create"
 
     def create(model: str, role: Role, *, dtype: str = "auto", ...) -> Expert
 
@@ -21,11 +21,10 @@ from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from a4agent.errors import ConfigError, UnknownNameError
-from a4agent.experts.base import Expert, Role
 from a4agent.plugins import Plugins
 from a4agent.plugins import keywords_of as settings_of
+from a4agent.protocols import VERBS, Expert, Role
 
-VERBS: dict[Role, str] = {"vlm": "chat", "editor": "edit", "detector": "detect", "segmenter": "segment"}
 Factory = Callable[..., Expert]
 PLAIN: dict[Any, tuple[type, str]] = {
     bool: (bool, "true or false"),

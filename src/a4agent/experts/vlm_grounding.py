@@ -17,20 +17,13 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from a4agent.data_files import read_toml
 from a4agent.errors import A4Error, ConfigError, TruncatedAnswer, UnknownNameError, UnreadableAnswer
 from a4agent.experts import registry
-from a4agent.experts.base import (
-    ChatAnswer,
-    ChatRequest,
-    Detection,
-    DetectRequest,
-    ExpertBase,
-    Role,
-    VisionLanguageModel,
-)
 from a4agent.experts.coordinates import THOUSAND, CoordinateSystem, resized, to_pixels
 from a4agent.experts.grounding_answer import Found, read_boxes, read_objects
+from a4agent.files import read_package_toml
+from a4agent.protocols import ChatAnswer, ChatRequest, DetectRequest, ExpertBase, Role, VisionLanguageModel
+from a4agent.types import Detection
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -116,7 +109,7 @@ class Dialect:
 
 def dialects() -> dict[str, Dialect]:
     """All dialects by name."""
-    table = read_toml("a4agent.experts", "dialects.toml")
+    table = read_package_toml("a4agent.experts", "dialects.toml")
     return {name: Dialect(name=name, **row) for name, row in table.items()}
 
 

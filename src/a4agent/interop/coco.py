@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from a4agent import rle
-from a4agent.affordance import Affordance, Region
+from a4agent.imaging.masks import encode_rle
+from a4agent.types import Affordance, Region
 
 VISIBLE = 2
 
@@ -34,7 +34,7 @@ def to_coco(
             "category_id": category_id,
             "bbox": [round(value, 2) for value in (x0, y0, x1 - x0, y1 - y0)],
             "area": int(region.mask.sum()),
-            "segmentation": rle.encode(region.mask),
+            "segmentation": encode_rle(region.mask),
             "iscrowd": 0,
             "keypoints": [value for x, y in points.tolist() for value in (x, y, VISIBLE)],
             "num_keypoints": len(points),

@@ -17,8 +17,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from a4agent.affordance import Affordance, Region
 from a4agent.errors import InputError
+from a4agent.types import Affordance, Region
 
 OUTLIER_MADS = 6.0
 """Pixels of the mask whose depth is further from its median than this many scaled MADs belong to something else."""
@@ -135,7 +135,7 @@ def lift(
         )
     camera = intrinsics if isinstance(intrinsics, Intrinsics) else Intrinsics.of(intrinsics)
     metres = _metres(depth, affordance.size_wh, depth_scale)
-    label = affordance.target.object_part if affordance.target else affordance.instruction
+    label = affordance.phrase
     regions = tuple(_lift_region(region, metres, camera, radius) for region in affordance.regions)
     return Lifted(frame_id, regions, label)
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from a4agent.affordance import Affordance
 from a4agent.errors import require
 from a4agent.interop.lift import Lifted
+from a4agent.types import Affordance
 
 COLOUR = (255, 64, 129)
 
@@ -32,8 +32,8 @@ def log(affordance: Affordance, path: str = "affordance", recording: Any = None)
         rr.log(f"{path}/{name}", value, recording=recording)
 
     put("", rr.Clear(recursive=True))
-    target, imagination = affordance.target, affordance.imagination
-    name = target.object_part if target else affordance.instruction
+    imagination = affordance.imagination
+    name = affordance.phrase
     if affordance.image is not None:
         put("image", rr.Image(np.asarray(affordance.image)))
     put("image/mask", rr.SegmentationImage(affordance.mask.astype(np.uint8), opacity=0.5))

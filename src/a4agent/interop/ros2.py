@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from a4agent.affordance import Affordance
 from a4agent.interop.lift import Lifted, LiftedRegion
+from a4agent.types import Affordance
 
 Message = dict[str, Any]
 Stamp = float | tuple[int, int]
@@ -128,7 +128,7 @@ def point_cloud(region: LiftedRegion, *, frame_id: str = "camera", stamp: Stamp 
 
 
 def _name(affordance: Affordance) -> str:
-    return affordance.target.object_part if affordance.target else affordance.instruction
+    return affordance.phrase
 
 
 def _hypothesis(name: str, score: float | None, pose: Message) -> Message:

@@ -1,6 +1,6 @@
 """`supervision.Detections`, for its annotators, filters and metrics.
 
-    detections = affordance.to_supervision()
+    detections = to_supervision(affordance)
     picture = sv.MaskAnnotator(color_lookup=sv.ColorLookup.INDEX).annotate(picture, detections)
 
 All regions show one part, so colour by index (`ColorLookup.INDEX`); by class they would all look the same.
@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from a4agent.affordance import Affordance
 from a4agent.errors import require
+from a4agent.types import Affordance
 
 
 def to_supervision(affordance: Affordance) -> Any:
@@ -28,7 +28,7 @@ def to_supervision(affordance: Affordance) -> Any:
     sv = require("supervision", extra="interop")
     regions = affordance.regions
     width, height = affordance.size_wh
-    name = affordance.target.object_part if affordance.target else affordance.instruction
+    name = affordance.phrase
     boxes = [region.box_xyxy if region.box_xyxy is not None else region.tight_box_xyxy for region in regions]
     points = np.empty(len(regions), dtype=object)
     points[:] = [region.points_xy for region in regions]

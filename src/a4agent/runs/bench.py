@@ -19,17 +19,20 @@ from typing import Any, Literal
 
 import numpy as np
 
-from a4agent import engine, metrics, rle
-from a4agent.affordance import Affordance, Given, Query, Status
+from a4agent import engine, metrics
 from a4agent.agent import A4Agent
 from a4agent.benchmarks.base import Benchmark, Sample
 from a4agent.config import Settings
 from a4agent.errors import DataError, InputError, UserError
+from a4agent.imaging.masks import encode_rle
+from a4agent.plugins import Plugins
 from a4agent.runs.manifest import Manifest, prompt_hashes, settings_identity, settings_told
 from a4agent.runs.oracle import Oracle, given_of
 from a4agent.runs.store import Record, Run, RunWriter, read_run
+from a4agent.types import Affordance, Given, Query, Status
 
 RUNS = Path("runs")
+ENGINES = Plugins("a4agent.engines", "engine", "'local' is the one of this process.")
 
 
 @dataclass(frozen=True)
@@ -221,10 +224,8 @@ class Session:
 
         settings, stats = self._work.settings, self.progress.stats
         known = given if oracle else None
-        if self._work.engine == "ray":
-            from a4agent.engine import ray
-
-            answers = ray.run(settings, queries(), given=known, stats=stats)
+        if self._work.engine != "local":
+            answers = ENGINES.find(self._work.engine)(settings, queries(), given=known, stats=stats)
         else:
             answers = engine.run(self._agent, queries(), settings=settings.engine, given=known, stats=stats)
         for query, affordance in answers:
@@ -251,7 +252,7 @@ def row_of(sample: Sample, affordance: Affordance, truths: tuple[np.ndarray, ...
         "truth_pixels": row.truth_pixels,
         "prediction_pixels": row.prediction_pixels,
         "resized": row.resized,
-        "truth": rle.encode(counted),
+        "truth": encode_rle(counted),
         "category": sample.truth.category,
         "tags": dict(sample.truth.tags),
         "pictures": {kind: writer.add_picture(image) for kind, image in pictures.items() if image is not None},

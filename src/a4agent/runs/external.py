@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 
 from a4agent import metrics
-from a4agent.affordance import Affordance, Region
 from a4agent.benchmarks.base import Benchmark, Sample
 from a4agent.benchmarks.predictions import Predictions
 from a4agent.engine.threads import ordered_map
 from a4agent.errors import DataError, InputError
-from a4agent.images import load_image
+from a4agent.imaging.load import load_image
 from a4agent.metrics import Row, measure
 from a4agent.runs.bench import row_of
 from a4agent.runs.manifest import Manifest
 from a4agent.runs.store import Run, RunWriter, read_run
+from a4agent.types import Affordance, Region
 
 MISSING = "missing"
 

@@ -13,12 +13,11 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from a4agent.affordance import Given, Region, Target
 from a4agent.benchmarks.base import Sample
 from a4agent.errors import DataError, UnknownNameError
-from a4agent.experts.base import Detection
-from a4agent.images import load_image
+from a4agent.imaging.load import load_image
 from a4agent.metrics import nearest_neighbour
+from a4agent.types import Detection, Given, Region, Target
 
 Oracle = Literal["thinker", "detector", "segmenter"]
 ORACLES: tuple[Oracle, ...] = get_args(Oracle)

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 
-from a4agent.data_files import read_toml
 from a4agent.errors import UnknownNameError
+from a4agent.files import read_package_toml
 
 SOURCE = "arXiv 2512.14442"
 OURS = "A4-Agent"
@@ -58,7 +58,7 @@ def tables() -> dict[str, Table]:
             rows={name: tuple(values) for name, values in data["rows"].items()},
             notes=tuple(data["notes"]),
         )
-        for key, data in read_toml("a4agent.runs", "published.toml").items()
+        for key, data in read_package_toml("a4agent.runs", "published.toml").items()
     }
 
 

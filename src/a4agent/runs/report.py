@@ -20,9 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from a4agent import metrics, rle
+from a4agent import metrics
 from a4agent.engine.threads import ordered_map
 from a4agent.errors import DataError
+from a4agent.imaging.masks import decode_rle
 from a4agent.runs import published, scores
 from a4agent.runs.store import STATUSES, Record, Run, write_atomically
 
@@ -130,7 +131,7 @@ def _step(step: Mapping[str, Any]) -> dict[str, Any]:
 
 def small_mask(mask: Mapping[str, Any], view: tuple[int, int]) -> list[int]:
     """A COCO RLE brought to `view` (width, height), as plain run lengths down the columns, background first."""
-    pixels = metrics.nearest_neighbour(rle.decode(mask), (view[1], view[0])).ravel(order="F")
+    pixels = metrics.nearest_neighbour(decode_rle(mask), (view[1], view[0])).ravel(order="F")
     if not pixels.size:
         return []
     edges = np.flatnonzero(np.diff(pixels)) + 1

@@ -30,13 +30,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from a4agent.affordance import Affordance, Status
 from a4agent.errors import ConfigError, DataError
-from a4agent.folders import is_draft, replace_file
-from a4agent.images import image_hash
+from a4agent.files import is_draft, replace_file
+from a4agent.imaging.load import image_hash
 from a4agent.metrics import Row
 from a4agent.runs.lock import hold
 from a4agent.runs.manifest import Manifest, differences
+from a4agent.types import Affordance, Status
 
 if TYPE_CHECKING:
     from PIL.Image import Image

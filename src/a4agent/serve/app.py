@@ -19,9 +19,9 @@ from starlette.middleware import Middleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from a4agent.agent import A4Agent
-from a4agent.availability import Missing, check_settings
 from a4agent.config import Settings, profile_names
 from a4agent.errors import require
+from a4agent.requirements import Missing, check_settings
 from a4agent.serve import cards
 from a4agent.serve.auth import check as check_caller
 from a4agent.serve.door import refuse

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from a4agent import overlay
-from a4agent.affordance import Affordance, Imagination, Region, Step, Target
+from a4agent.imaging import overlay
+from a4agent.types import Affordance, Imagination, Region, Step, Target
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -53,11 +53,11 @@ def picture(progress: Progress | None) -> str:
         return '<div class="a4-empty"><p>The answer appears here, over your photo.</p></div>'
     seen = progress.affordance or _so_far(progress)
     answered = seen.status in ("ok", "empty")  # why there is no answer stands in the message
-    words = text(overlay.caption_of(seen if answered else replace(seen, status="ok")))
-    plain = overlay.draw(progress.picture, seen, opacity=0.0, caption=False)
+    words = text((seen if answered else replace(seen, status="ok")).summary)
+    plain = overlay.draw(progress.picture, seen.regions, opacity=0.0)
     tint = ""
     if seen.mask.any():
-        full = overlay.draw(progress.picture, seen, opacity=1.0, caption=False)
+        full = overlay.draw(progress.picture, seen.regions, opacity=1.0)
         tint = f'<img class="a4-tint" alt="" src="{_uri(full)}">'
     state = "done" if progress.affordance else "working"
     return (

@@ -13,7 +13,6 @@ from starlette.datastructures import UploadFile
 from starlette.requests import ClientDisconnect, Request
 
 from a4agent import engine
-from a4agent.affordance import Affordance, Query
 from a4agent.agent import A4Agent
 from a4agent.errors import A4Error
 from a4agent.serve import questions, wire
@@ -21,6 +20,7 @@ from a4agent.serve.limits import Limits, Refused
 from a4agent.serve.metrics import Metrics
 from a4agent.serve.questions import Question, Unusable
 from a4agent.serve.workers import Tell, Work, Workers
+from a4agent.types import Affordance, Query
 
 KEEP_ALIVE_SECONDS = 15.0
 """A stream without news says that it is alive, so that proxies keep it open."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from a4agent.affordance import Affordance
 from a4agent.errors import require
+from a4agent.types import Affordance
 
 SECONDS = (0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 20, 40, 80, 160, 320)
 METHODS = frozenset({"GET", "POST", "HEAD", "OPTIONS", "PUT", "DELETE", "PATCH"})

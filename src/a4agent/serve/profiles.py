@@ -6,9 +6,9 @@ import threading
 from collections.abc import Callable, Sequence
 
 from a4agent.agent import A4Agent
-from a4agent.availability import Missing
 from a4agent.config import Settings
 from a4agent.errors import A4Error
+from a4agent.requirements import Missing
 
 
 class Profiles:

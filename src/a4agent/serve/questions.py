@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from a4agent.affordance import Given, Target
 from a4agent.errors import InputError
-from a4agent.images import TooManyPixels, load_image
+from a4agent.imaging.load import TooManyPixels, load_image
 from a4agent.serve.limits import Limits, Refused
+from a4agent.types import Given, Target
 
 if TYPE_CHECKING:
     from PIL.Image import Image

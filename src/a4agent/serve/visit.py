@@ -10,14 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from a4agent.affordance import Affordance
 from a4agent.errors import A4Error, InputError
-from a4agent.images import load_image
-from a4agent.saving import save
+from a4agent.imaging.load import load_image
 from a4agent.serve import cards
 from a4agent.serve.cards import Progress
 from a4agent.serve.follow import follow
 from a4agent.serve.profiles import Profiles
+from a4agent.types import Affordance
 
 log = logging.getLogger(__name__)
 
@@ -73,7 +72,7 @@ def _picture(photo: str | None, instruction: str) -> Any:
 
 def _finished(progress: Progress, affordance: Affordance) -> Generator[Update]:
     with tempfile.TemporaryDirectory(prefix="a4-") as folder:
-        save(affordance, Path(folder))
+        affordance.save(folder)
         yield _update(_verdict(affordance), progress, [str(Path(folder) / name) for name in FILES])
 
 
@@ -81,7 +80,7 @@ def _verdict(affordance: Affordance) -> str:
     if affordance.status == "ok":
         return ""
     if affordance.status == "empty":
-        part = affordance.target.object_part if affordance.target else affordance.instruction
+        part = affordance.phrase
         return cards.message(f"Nothing in this photo was recognised as “{part}”. Try other words.", "note")
     what = "The model's answer could not be used" if affordance.status == "invalid" else "The models could not be asked"
     return cards.message(_sentence(f"{what}: {(affordance.error or '').partition(': ')[2]}"), "error")

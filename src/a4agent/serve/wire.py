@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from a4agent import rle
-from a4agent.affordance import Affordance, Imagination
+from a4agent.imaging.masks import decode_rle
+from a4agent.types import Affordance, Imagination
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -110,7 +110,7 @@ def to_wire(affordance: Affordance, mask: MaskForm = "rle", imagination: Picture
             region["score"] = None
     if mask != "rle":
         for holder in (data, *data["regions"]):
-            holder["mask"] = png_mask(rle.decode(holder["mask"])) if mask == "png" else None
+            holder["mask"] = png_mask(decode_rle(holder["mask"])) if mask == "png" else None
     if affordance.imagination is not None:
         data["imagination"] = imagination_to_wire(affordance.imagination, imagination)
     return data

@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 
 from a4agent.errors import ConfigError, DataError, ResourceError
-from a4agent.folders import is_draft, replace_file
+from a4agent.files import is_draft, replace_file
 from a4agent.sim.assets import check_installed
 from a4agent.sim.backend import check_renderer, mujoco
 from a4agent.sim.draw import Drawn, Plan, draw_sample, plan_set

@@ -24,8 +24,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from a4agent.data_files import toml
 from a4agent.errors import DataError, UnknownNameError
+from a4agent.files import toml
 
 Split = Literal["dev", "test"]
 Use = Literal["table", "wall", "floor"]

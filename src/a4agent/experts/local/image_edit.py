@@ -1,0 +1,264 @@
+"""`qwen-image-edit:NAME_OR_FOLDER`: Qwen-Image-Edit-2509 or 2511 in this process, through diffusers.
+
+    create("Qwen/Qwen-Image-Edit-2509", "editor").edit([EditRequest(image=photo, prompt="Show a hand gripping ...")])
+    create("Qwen/Qwen-Image-Edit-2509", "editor", lightning=4)     # 4 forward passes instead of 60
+
+The defaults are the settings of the A4-Agent authors: 30 steps, true CFG 4.0, negative prompt " ", seed 0 (which
+comes with the request). The weights are about 58 GB in bfloat16: see `offload` and `quantisation`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from a4agent.errors import A4Error, ConfigError, ModelFilesError, ResourceError, UnknownNameError, require
+from a4agent.experts.local.base import (
+    QUANTISE,
+    SPREAD,
+    LocalExpert,
+    Placement,
+    Stopwatch,
+    check_fits,
+    is_out_of_memory,
+    place,
+)
+from a4agent.experts.local.checkpoints import Checkpoint, digest_of, find_checkpoint, find_file, parameter_count
+from a4agent.experts.local.generation import load_processor
+from a4agent.protocols import EditAnswer, EditRequest, Role
+
+STEPS, TRUE_CFG_SCALE, NEGATIVE_PROMPT = 30, 4.0, " "
+OFFLOADS = {"none": ("offload = 'model'",), "model": ("offload = 'sequential'",), "sequential": ()}
+"""What may be offloaded, and the setting that needs still less memory."""
+QUANTISED_PARTS = ["transformer", "text_encoder"]
+
+LIGHTNING_LORAS = {
+    "Qwen/Qwen-Image-Edit-2509": "lightx2v/Qwen-Image-Lightning/Qwen-Image-Edit-2509/"
+    "Qwen-Image-Edit-2509-Lightning-{steps}steps-V1.0-bf16.safetensors",
+    "Qwen/Qwen-Image-Edit-2511": "lightx2v/Qwen-Image-Edit-2511-Lightning/"
+    "Qwen-Image-Edit-2511-Lightning-{steps}steps-V1.0-bf16.safetensors",
+}
+LIGHTNING_SCHEDULER = {
+    "base_image_seq_len": 256,
+    "max_image_seq_len": 8192,
+    "base_shift": math.log(3),
+    "max_shift": math.log(3),
+    "num_train_timesteps": 1000,
+    "shift": 1.0,
+    "shift_terminal": None,
+    "use_dynamic_shifting": True,
+    "time_shift_type": "exponential",
+}
+"""The schedule that the LoRAs were distilled with (model card of lightx2v/Qwen-Image-Lightning)."""
+
+
+def create(
+    model: str,
+    role: Role,
+    *,
+    revision: str | None = None,
+    device: str = "auto",
+    dtype: str = "auto",
+    quantisation: str = "none",
+    offload: str = "none",
+    lightning: int = 0,
+    lora: str | None = None,
+    steps: int | None = None,
+    true_cfg_scale: float | None = None,
+    negative_prompt: str = NEGATIVE_PROMPT,
+    output_pixels: int = 1024 * 1024,
+) -> QwenImageEdit:
+    """A Qwen-Image-Edit pipeline.
+
+    Args:
+        model: a folder, or a name on the hub.
+        role: "editor".
+        revision: branch, tag or commit.
+        device: "auto" or a torch device.
+        dtype: "auto" (bfloat16 on an accelerator, float32 on a CPU), "bfloat16", "float16", "float32".
+        quantisation: "none", "8bit" or "4bit" (bitsandbytes), for the transformer and the text encoder.
+        offload: "none"; "model" keeps one part at a time on the accelerator; "sequential" one layer (slow).
+        lightning: 0, or 4 or 8 steps with the distilled LoRA of `model`.
+        lora: the LoRA's file, on this disk or as OWNER/NAME/PATH on the hub, instead of Lightning's own.
+        steps: denoising steps; 30, or what `lightning` says.
+        true_cfg_scale: weight of the negative prompt; 4.0, or 1.0 (none, half the work) with `lightning`.
+        negative_prompt: what to lead away from.
+        output_pixels: area of the edited picture, which keeps the proportions; less is faster.
+
+    Raises:
+        ModelFilesError: no such checkpoint or LoRA, or the hub cannot be reached.
+        ConfigError: a setting has a value it does not take.
+    """
+    placement = place(device, dtype, "auto", quantisation)
+    if placement.device == SPREAD:
+        raise ConfigError("qwen-image-edit cannot be spread over devices; use offload = 'model'")
+    if offload not in OFFLOADS:
+        raise UnknownNameError.of("offload", offload, OFFLOADS)
+    if offload != "none" and placement.device == "cpu":
+        raise ConfigError(f"offload = {offload!r} moves weights from an accelerator to the CPU, and there is none here")
+    if quantisation != "none" and placement.device == "cpu":
+        raise ConfigError(f"quantisation = {quantisation!r} of the editor needs a GPU, and there is none here")
+    if lightning not in (0, 4, 8):
+        raise ConfigError(f"lightning is 0 (off), 4 or 8 steps, not {lightning!r}")
+    if (steps is not None and steps < 1) or output_pixels < 32 * 32:
+        raise ConfigError(f"steps ({steps!r}) is at least 1, and output_pixels ({output_pixels!r}) at least 1024")
+    checkpoint = find_checkpoint(model, kinds=("QwenImageEditPlusPipeline",), revision=revision)
+    if lightning and lora is None:
+        if model not in LIGHTNING_LORAS:
+            raise ConfigError(f"there is no Lightning LoRA known for {model!r}: name its file with the setting lora")
+        lora = LIGHTNING_LORAS[model].format(steps=lightning)
+    lora_file = find_file(lora) if lora else None
+    return QwenImageEdit(
+        f"qwen-image-edit:{model}",
+        checkpoint,
+        placement,
+        offload=offload,
+        lora=str(lora_file) if lora_file else None,
+        settings={
+            "lightning": lightning,
+            "lora": lora,
+            "lora_digest": digest_of(lora_file) if lora_file else None,
+            "steps": steps or lightning or STEPS,
+            "true_cfg_scale": (1.0 if lightning else TRUE_CFG_SCALE) if true_cfg_scale is None else true_cfg_scale,
+            "negative_prompt": negative_prompt,
+            "output_pixels": output_pixels,
+        },
+    )
+
+
+class QwenImageEdit(LocalExpert):
+    """Edits one picture at a time: the pipeline takes no batches of prompts."""
+
+    def __init__(
+        self,
+        id: str,
+        checkpoint: Checkpoint,
+        placement: Placement,
+        *,
+        settings: dict[str, Any],
+        offload: str = "none",
+        lora: str | None = None,
+    ) -> None:
+        super().__init__(id, checkpoint, placement, settings=settings, max_batch=1)
+        self.shrinking = (*OFFLOADS[offload], QUANTISE)
+        self._offload = offload
+        self._lora = lora
+        self._pipeline: Any = None
+
+    def edit(self, requests: Sequence[EditRequest]) -> list[EditAnswer | A4Error]:
+        """The edited pictures, in the proportions of the originals and an area of `output_pixels`.
+
+        Raises:
+            ResourceError: the weights do not fit.
+            ProviderError: the pipeline failed.
+        """
+        return self._in_batches(requests, self._edit)
+
+    def _load(self) -> None:
+        diffusers: Any = require("diffusers", extra="local")
+        folder = self.checkpoint.folder
+        self._check_fits()
+        options: dict[str, Any] = {"dtype": self.placement.torch_dtype, "local_files_only": True}
+        if self.placement.quantisation != "none":
+            options["quantization_config"] = _quantisation(diffusers, self.placement)
+        options["processor"] = load_processor(folder / "processor", "Qwen2VLProcessor")
+        try:
+            pipeline = diffusers.QwenImageEditPlusPipeline.from_pretrained(str(folder), **options)
+            if self.settings["lightning"]:
+                pipeline.scheduler = diffusers.FlowMatchEulerDiscreteScheduler.from_config(LIGHTNING_SCHEDULER)
+            if self._lora:
+                pipeline.load_lora_weights(self._lora)
+            supply_token_types(pipeline.text_encoder)
+            pipeline.set_progress_bar_config(disable=True)
+            if self._offload == "model":
+                pipeline.enable_model_cpu_offload(device=self.placement.device)
+            elif self._offload == "sequential":
+                pipeline.enable_sequential_cpu_offload(device=self.placement.device)
+            else:
+                pipeline.to(self.placement.device)
+        except Exception as error:
+            if is_out_of_memory(error):
+                raise ResourceError(f"{str(folder)!r} does not fit: {error}; set {self.shrinking[0]}") from error
+            raise ModelFilesError(f"{str(folder)!r} cannot be loaded by diffusers: {str(error)[:300]}") from error
+        self._pipeline = pipeline
+
+    def _unload(self) -> None:
+        self._pipeline = None
+
+    def _check_fits(self) -> None:
+        folder = self.checkpoint.folder
+        if self._offload == "none":
+            check_fits(folder, self.placement, shrinking=self.shrinking)
+        elif self._offload == "model":
+            parts = [parameter_count(part) for part in folder.iterdir() if part.is_dir()]
+            check_fits(folder, self.placement, largest_part=max(parts) / sum(parts), shrinking=self.shrinking)
+
+    def _edit(self, requests: Sequence[EditRequest]) -> list[EditAnswer]:
+        return [self._edit_one(request) for request in requests]
+
+    def _edit_one(self, request: EditRequest) -> EditAnswer:
+        torch: Any = require("torch", extra="local")
+        watch = Stopwatch()
+        steps, scale = int(self.settings["steps"]), float(self.settings["true_cfg_scale"])
+        width, height = output_size(request.image.size, int(self.settings["output_pixels"]))
+
+        def on_step_end(pipeline: Any, step: int, timestep: Any, tensors: dict[str, Any]) -> dict[str, Any]:
+            if request.on_step is not None:
+                request.on_step(step + 1, steps)
+            return tensors
+
+        picture = self._pipeline(
+            image=[request.image],
+            prompt=request.prompt,
+            negative_prompt=self.settings["negative_prompt"] if scale > 1 else None,
+            true_cfg_scale=scale,
+            num_inference_steps=steps,
+            width=width,
+            height=height,
+            generator=torch.Generator("cpu").manual_seed(request.seed),  # on the CPU: the same noise on any device
+            callback_on_step_end=on_step_end,
+        ).images[0]
+        return EditAnswer(picture, usage=watch.usage(1))
+
+
+def output_size(size_wh: tuple[int, int], pixels: int) -> tuple[int, int]:
+    """(width, height) in the proportions of `size_wh`, multiples of 32, about `pixels` in area."""
+    ratio = size_wh[0] / size_wh[1]
+    width = math.sqrt(pixels * ratio)
+    return max(32, round(width / 32) * 32), max(32, round(width / ratio / 32) * 32)
+
+
+def supply_token_types(text_encoder: Any) -> None:
+    """Tell the text encoder which tokens are of the image, where the pipeline does not.
+
+    Without `mm_token_type_ids`, Qwen2.5-VL of transformers 5 gives every token a one-dimensional position and
+    says nothing (diffusers issue 14194). A pipeline that passes them is left alone.
+    """
+    if "mm_token_type_ids" not in inspect.signature(text_encoder.forward).parameters:
+        return
+
+    def before_forward(module: Any, args: Any, kwargs: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+        if kwargs.get("image_grid_thw") is not None and kwargs.get("mm_token_type_ids") is None:
+            kwargs["mm_token_type_ids"] = (kwargs["input_ids"] == module.config.image_token_id).int()
+        return args, kwargs
+
+    text_encoder.register_forward_pre_hook(before_forward, with_kwargs=True)
+
+
+def _quantisation(diffusers: Any, placement: Placement) -> Any:
+    bits: dict[str, Any] = (
+        {"load_in_8bit": True}
+        if placement.quantisation == "8bit"
+        else {
+            "load_in_4bit": True,
+            "bnb_4bit_quant_type": "nf4",
+            "bnb_4bit_compute_dtype": placement.torch_dtype,
+        }
+    )
+    return diffusers.quantizers.PipelineQuantizationConfig(
+        quant_backend=f"bitsandbytes_{placement.quantisation}",
+        quant_kwargs=bits,
+        components_to_quantize=QUANTISED_PARTS,
+    )

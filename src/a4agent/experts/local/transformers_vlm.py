@@ -1,0 +1,117 @@
+"""`transformers:NAME_OR_FOLDER`: a vision-language model in this process.
+
+Whatever `AutoModelForImageTextToText` loads: Qwen2.5-VL, Qwen3-VL (`Qwen/Qwen3-VL-4B-Instruct`), InternVL3
+(`OpenGVLab/InternVL3-8B-hf`) and others.
+
+    create("Qwen/Qwen2.5-VL-7B-Instruct", "vlm", quantisation="4bit").chat([ChatRequest(images=(photo,), text="...")])
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from a4agent.errors import A4Error, ConfigError
+from a4agent.experts.local.base import QUANTISE, LocalExpert, Placement, Stopwatch, place
+from a4agent.experts.local.checkpoints import Checkpoint, find_checkpoint
+from a4agent.experts.local.generation import ChatModel, Turn
+from a4agent.protocols import ChatAnswer, ChatRequest, Role
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+
+def create(
+    model: str,
+    role: Role,
+    *,
+    revision: str | None = None,
+    device: str = "auto",
+    dtype: str = "auto",
+    attention: str = "auto",
+    quantisation: str = "none",
+    max_batch: int = 4,
+    max_pixels: int | None = None,
+    temperature: float = 0.0,
+) -> TransformersVlm:
+    """A vision-language model of transformers.
+
+    Args:
+        model: a folder, or a name on the hub.
+        role: "vlm".
+        revision: branch, tag or commit.
+        device: "auto", a torch device, or "spread" over all GPUs and the CPU.
+        dtype: "auto" (bfloat16 on an accelerator, float32 on a CPU), "bfloat16", "float16", "float32".
+        attention: "auto" (sdpa where the model has it), "sdpa", "eager", "flash_attention_2".
+        quantisation: "none", "8bit" or "4bit" (bitsandbytes).
+        max_batch: the most requests at once; halved whenever memory runs out.
+        max_pixels: larger images are scaled down to this area first; the processor's own limits apply after.
+        temperature: 0 is greedy.
+
+    Raises:
+        ModelFilesError: no such checkpoint, or the hub cannot be reached.
+        ConfigError: a setting has a value it does not take.
+    """
+    if temperature < 0:
+        raise ConfigError(f"temperature is at least 0, not {temperature!r}")
+    if max_pixels is not None and max_pixels < 1:
+        raise ConfigError(f"max_pixels is a positive number of pixels, not {max_pixels!r}")
+    placement = place(device, dtype, attention, quantisation)
+    checkpoint = find_checkpoint(model, revision=revision)
+    return TransformersVlm(f"transformers:{model}", checkpoint, placement, max_batch, max_pixels, temperature)
+
+
+class TransformersVlm(LocalExpert):
+    """Answers in batches, padded on the left, so that an answer is the same alone and among others."""
+
+    shrinking = (QUANTISE,)
+
+    def __init__(
+        self,
+        id: str,
+        checkpoint: Checkpoint,
+        placement: Placement,
+        max_batch: int = 4,
+        max_pixels: int | None = None,
+        temperature: float = 0.0,
+    ) -> None:
+        settings = {"max_pixels": max_pixels, "temperature": temperature}
+        super().__init__(id, checkpoint, placement, settings=settings, max_batch=max_batch)
+        self._max_pixels = max_pixels
+        self._sampling = {"do_sample": True, "temperature": temperature} if temperature else {}
+        self._model: ChatModel | None = None
+
+    def chat(self, requests: Sequence[ChatRequest]) -> list[ChatAnswer | A4Error]:
+        """Answer each request; an answer cut off by `max_tokens` has the `finish_reason` "length".
+
+        Raises:
+            ResourceError: the weights do not fit.
+            ProviderError: the model failed.
+        """
+        return self._in_batches(requests, self._answer, alike=lambda request: bool(request.images))
+
+    def _load(self) -> None:
+        self._model = ChatModel.load(self.checkpoint, self.placement)
+
+    def _unload(self) -> None:
+        self._model = None
+
+    def _answer(self, requests: Sequence[ChatRequest]) -> list[ChatAnswer]:
+        assert self._model is not None
+        watch = Stopwatch()
+        turns = [Turn(tuple(map(self._sized, r.images)), r.text, r.system) for r in requests]
+        generations = self._model.generate(turns, [r.max_tokens for r in requests], self._sampling)
+        return [
+            ChatAnswer(
+                text=self._model.decode(generation.ids).strip(),
+                finish_reason=generation.finish_reason,
+                usage=watch.usage(len(requests), tokens_in=generation.tokens_in, tokens_out=len(generation.ids)),
+            )
+            for generation in generations
+        ]
+
+    def _sized(self, image: Image) -> Image:
+        scale = 1.0 if self._max_pixels is None else (self._max_pixels / (image.width * image.height)) ** 0.5
+        if scale >= 1.0:
+            return image
+        return image.resize((max(1, int(image.width * scale)), max(1, int(image.height * scale))))

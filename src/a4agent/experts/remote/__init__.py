@@ -1,0 +1,1 @@
+"""Experts behind HTTP servers."""

@@ -1,0 +1,113 @@
+"""What the experts behind an OpenAI-compatible server share: one call a request, its price, its first choice."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar, cast
+
+from a4agent.errors import A4Error, ConfigError, ProviderUnavailable
+from a4agent.experts.remote.connection import Connection, Sent
+from a4agent.experts.remote.prices import price_from_setting, price_of
+from a4agent.protocols import ExpertBase
+from a4agent.types import Usage
+
+RequestT = TypeVar("RequestT")
+AnswerT = TypeVar("AnswerT")
+
+
+class RemoteExpert(ExpertBase):
+    """An expert over a `Connection`. Calls overlap (`concurrency`); a call carries one request.
+
+    Args:
+        id: "provider:model".
+        connection: the model on its server.
+        settings: all that changes an answer.
+        concurrency: calls that may be in flight at once.
+        price: US dollars per million tokens, if the list price does not hold.
+
+    Raises:
+        ConfigError: a concurrency below 1, or a price that is none.
+    """
+
+    def __init__(
+        self,
+        id: str,
+        connection: Connection,
+        *,
+        settings: Mapping[str, Any],
+        concurrency: int,
+        price: Mapping[str, float] | None = None,
+    ) -> None:
+        if concurrency < 1:
+            raise ConfigError(f"concurrency is at least 1, not {concurrency!r}")
+        super().__init__(id, settings=settings, max_batch=1, concurrency=concurrency)
+        self._connection = connection
+        listed = price_of(connection.model) if connection.server.priced else None
+        self._price = price_from_setting(price) if price else listed
+
+    def close(self) -> None:
+        self._connection.close()
+
+    def _one_by_one(self, requests: Sequence[RequestT], ask: Callable[[RequestT], AnswerT]) -> list[AnswerT | A4Error]:
+        """`ask` each request. An error that every request would meet is raised, another is that request's answer."""
+        answers: list[AnswerT | A4Error] = []
+        for request in requests:
+            try:
+                answers.append(ask(request))
+            except A4Error as error:
+                if error.fatal:
+                    raise
+                answers.append(error)
+        return answers
+
+    def _first_choice(self, completion: Any) -> Any:
+        choices = getattr(completion, "choices", None)
+        if not isinstance(choices, list) or not choices or not hasattr(getattr(choices[0], "message", None), "content"):
+            raise ProviderUnavailable(f"{self._connection} sent an answer without choices")
+        return choices[0]
+
+    def _usage(self, answer: Any, sent: Sent) -> Usage:
+        """Tokens and dollars of an answer; servers may leave tokens out, and then no price is known."""
+        usage = getattr(answer, "usage", None)
+        tokens_in = _count(usage, "prompt_tokens", "input_tokens")
+        tokens_out = _count(usage, "completion_tokens", "output_tokens")
+        cost = None
+        if self._price is not None and usage is not None:
+            cached_in = _count(getattr(usage, "prompt_tokens_details", None), "cached_tokens")
+            image_in = _count(getattr(usage, "input_tokens_details", None), "image_tokens")
+            cost = self._price.cost(tokens_in=tokens_in, tokens_out=tokens_out, cached_in=cached_in, image_in=image_in)
+        return Usage(
+            seconds=sent.seconds,
+            attempts=sent.attempts,
+            tokens_in=tokens_in,
+            tokens_out=tokens_out,
+            cost=cost,
+            request_id=sent.request_id,
+        )
+
+
+def text_of(content: Any) -> str:
+    """A message's text: a string, or the text parts of a list."""
+    if isinstance(content, str):
+        return content
+    if isinstance(content, Sequence):
+        parts = [part.get("text") if isinstance(part, Mapping) else getattr(part, "text", "") for part in content]
+        return "".join(str(part) for part in parts if part)
+    return ""
+
+
+def fields_from_setting(extra: Any) -> dict[str, Any]:
+    """The fields that a user adds to every request.
+
+    Raises:
+        ConfigError: not a table.
+    """
+    if extra is not None and not isinstance(extra, Mapping):
+        raise ConfigError(f"extra = {extra!r} is no table of fields; write it as {{top_k = 1}}")
+    return dict(cast("Mapping[str, Any]", extra or {}))
+
+
+def _count(usage: Any, *names: str) -> int:
+    values = (getattr(usage, name, None) for name in names)
+    return next((int(value) for value in values if isinstance(value, (int, float)) and 0 < value < math.inf), 0)

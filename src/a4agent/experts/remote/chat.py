@@ -1,0 +1,234 @@
+"""`openai:MODEL`: a vision-language model behind any OpenAI-compatible server.
+
+    openai:gpt-4o                                                        OpenAI
+    {expert = "openai:Qwen/Qwen2.5-VL-7B-Instruct", base_url = "http://127.0.0.1:8000/v1"}    vLLM, SGLang, ...
+    {expert = "openai:qwen3-vl:8b", server = "ollama"}                   Ollama at its usual place
+
+Images come before the text, in the order of the request, as byte-identical data URLs, so that a server can
+reuse the prefix two stages share. JSON answers go down a ladder (schema, any JSON, text); what a server
+refuses is remembered and not asked for again. Checking the answer is the stage's work.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from a4agent.errors import A4Error, ConfigError, RefusedAnswer, RequestRejected
+from a4agent.experts.remote.base import RemoteExpert, fields_from_setting, text_of
+from a4agent.experts.remote.connection import Connection, Sent
+from a4agent.imaging.encode import PictureEncoder
+from a4agent.protocols import ChatAnswer, ChatRequest, Role
+
+_RUNG_WORDS = ("response_format", "json_schema", "json_object", "schema", "grammar", "structured", "guided", "'json'")
+_OPTIONAL = ("temperature", "seed")
+_REFUSING = (400, 422, 501)
+_STRUCTURE = ("type", "enum", "const", "$ref", "description")
+
+
+def create(
+    model: str,
+    role: Role,
+    *,
+    base_url: str = "",
+    server: str = "",
+    api_key_variable: str = "",
+    structured: str = "auto",
+    temperature: float | None = 0.0,
+    seed: int | None = None,
+    detail: str = "",
+    image_format: str = "jpeg",
+    max_side: int = 2048,
+    quality: int = 95,
+    timeout: float = 120.0,
+    max_retries: int = 2,
+    concurrency: int = 8,
+    price: Mapping[str, float] | None = None,
+    extra: Mapping[str, Any] | None = None,
+) -> OpenAIVLM:
+    """A VLM over HTTP.
+
+    Args:
+        model: the name the server knows it by.
+        role: must be "vlm".
+        base_url: the server's address with "/v1"; "" is the usual place of `server`, or OpenAI.
+        server: a name from servers.toml (openai, vllm, sglang, ollama, llama.cpp, transformers, other).
+        api_key_variable: the environment variable with the key, if not the server's usual one.
+        structured: "auto" (the server's ladder) or one fixed rung: "json_schema", "json_object", "text".
+        temperature: None leaves it to the server; it is also left out once the model has refused it.
+        seed: sent if given.
+        detail: OpenAI's "low" or "high" for images; "" leaves it to the server.
+        image_format: "jpeg" or "png".
+        max_side: longer images are shrunk to it before they are sent, in pixels; 0 never.
+        quality: of JPEG.
+        timeout: seconds without a byte until a call counts as failed.
+        max_retries: repeats inside one call (408, 409, 429, 5xx, broken connections), honouring Retry-After.
+        concurrency: calls that may be in flight at once.
+        price: US dollars per million tokens, as {"input": 2.5, "output": 10.0}; overrides the table.
+        extra: fields added to every request as they are, such as {"top_k": 1}.
+
+    Raises:
+        ConfigError: a setting that does not fit.
+        CredentialError: the server needs a key and its variable is not set.
+        MissingExtraError: the openai package is not installed.
+    """
+    if role != "vlm":
+        raise ConfigError(f"'openai:{model}' is a vlm and cannot be the {role}; 'vlm-grounding:' makes it a detector")
+    connection = Connection(
+        model,
+        base_url=base_url,
+        server=server,
+        api_key_variable=api_key_variable,
+        timeout=timeout,
+        max_retries=max_retries,
+    )
+    rungs = connection.server.structured if structured == "auto" else (structured,)
+    if not set(rungs) <= {"json_schema", "json_object", "text"}:
+        raise ConfigError(f"structured = {structured!r}: write auto, json_schema, json_object or text")
+    return OpenAIVLM(
+        connection,
+        PictureEncoder(image_format, max_side, quality),
+        rungs=rungs,
+        optional={"temperature": temperature, "seed": seed},
+        detail=detail,
+        concurrency=concurrency,
+        price=price,
+        extra=fields_from_setting(extra),
+    )
+
+
+class OpenAIVLM(RemoteExpert):
+    """A VisionLanguageModel over a `Connection`; `create` explains the settings."""
+
+    def __init__(
+        self,
+        connection: Connection,
+        encoder: PictureEncoder,
+        *,
+        rungs: Sequence[str],
+        optional: Mapping[str, Any],
+        detail: str,
+        concurrency: int,
+        price: Mapping[str, float] | None,
+        extra: Mapping[str, Any],
+    ) -> None:
+        settings = {
+            "base_url": connection.base_url,
+            "structured": list(rungs),
+            **optional,
+            "detail": detail,
+            **encoder.settings,
+            "extra": dict(extra),
+        }
+        super().__init__(
+            f"openai:{connection.model}", connection, settings=settings, concurrency=concurrency, price=price
+        )
+        self._encoder = encoder
+        self._rungs = tuple(rungs)
+        self._optional = {name: value for name, value in optional.items() if value is not None}
+        self._detail = {"detail": detail} if detail else {}
+        self._extra = dict(extra)
+        self._refused: set[str] = set()
+        self._lock = threading.Lock()
+
+    def chat(self, requests: Sequence[ChatRequest]) -> list[ChatAnswer | A4Error]:
+        """One call a request. Errors that every request would meet are raised, others are answers."""
+        return self._one_by_one(requests, self._ask)
+
+    def _ask(self, request: ChatRequest) -> ChatAnswer:
+        messages = self._messages(request)
+        while True:
+            rung = self._rung(request)
+            fields = self._fields(request, rung)
+            create = partial(_create_completion, messages=messages, **fields)
+            try:
+                completion, sent = self._connection.call(create)
+            except RequestRejected as error:
+                if not self._learn(error, rung, fields):
+                    raise
+            else:
+                return self._read(completion, sent)
+
+    def _messages(self, request: ChatRequest) -> list[dict[str, Any]]:
+        pictures = [
+            {"type": "image_url", "image_url": {"url": self._encoder.data_url(image), **self._detail}}
+            for image in request.images
+        ]
+        system = [{"role": "system", "content": request.system}] if request.system else []
+        return [*system, {"role": "user", "content": [*pictures, {"type": "text", "text": request.text}]}]
+
+    def _fields(self, request: ChatRequest, rung: str) -> dict[str, Any]:
+        server = self._connection.server
+        fields: dict[str, Any] = {"model": self._connection.model, server.max_tokens_field: request.max_tokens}
+        fields |= {name: value for name, value in self._optional.items() if name not in self._refused}
+        if request.attempt and "seed" in fields:
+            fields["seed"] += request.attempt
+        if rung == "json_schema" and request.schema is not None:
+            fields["response_format"] = _schema_format(request.schema, server.schema_shape)
+        elif rung == "json_object":
+            fields["response_format"] = {"type": "json_object"}
+        if self._extra:
+            fields["extra_body"] = self._extra
+        return fields
+
+    def _rung(self, request: ChatRequest) -> str:
+        if request.schema is None:
+            return "text"
+        return next((rung for rung in self._rungs if rung not in self._refused), "text")
+
+    def _learn(self, error: RequestRejected, rung: str, fields: Mapping[str, Any]) -> bool:
+        """Remember which optional part of the request the server refused; False if it was none of them."""
+        if getattr(error.__cause__, "status_code", None) not in _REFUSING:
+            return False
+        said = str(error).removeprefix(str(self._connection)).lower()  # a model may be called "seed-1.6"
+        refused = [name for name in _OPTIONAL if name in fields and name in said]
+        if not refused and "response_format" in fields and any(word in said for word in _RUNG_WORDS):
+            refused = [rung]
+        with self._lock:
+            self._refused.update(refused)
+        return bool(refused)
+
+    def _read(self, completion: Any, sent: Sent) -> ChatAnswer:
+        choice = self._first_choice(completion)
+        refusal = getattr(choice.message, "refusal", None)
+        if refusal or choice.finish_reason == "content_filter":
+            raise RefusedAnswer(f"{self._connection} declined: {refusal or 'stopped by its content filter'}")
+        kept = (getattr(choice.message, name, None) for name in self._connection.server.reasoning_fields)
+        return ChatAnswer(
+            text=text_of(choice.message.content),
+            reasoning=next((str(value) for value in kept if value), ""),
+            finish_reason="length" if choice.finish_reason == "length" else "stop",
+            usage=self._usage(completion, sent),
+        )
+
+
+def _create_completion(client: Any, **fields: Any) -> Any:
+    return client.chat.completions.with_raw_response.create(**fields)
+
+
+def _schema_format(schema: Mapping[str, Any], shape: str) -> dict[str, Any]:
+    """The `response_format` that asks for this schema, in the subset that strict servers know."""
+    strict = _strict(schema)
+    if shape == "flat":
+        return {"type": "json_schema", "schema": strict}
+    return {"type": "json_schema", "json_schema": {"name": "answer", "strict": True, "schema": strict}}
+
+
+def _strict(schema: Mapping[str, Any]) -> dict[str, Any]:
+    """The structure of a JSON schema: every object requires all its properties, in order, and allows no other.
+
+    Lengths, ranges and defaults are left out: strict servers reject them, and the answer is checked afterwards.
+    """
+    strict: dict[str, Any] = {key: schema[key] for key in _STRUCTURE if key in schema}
+    for key in ("properties", "$defs"):
+        if key in schema:
+            strict[key] = {name: _strict(inner) for name, inner in schema[key].items()}
+    if "items" in schema:
+        strict["items"] = _strict(schema["items"])
+    if "anyOf" in schema:
+        strict["anyOf"] = [_strict(inner) for inner in schema["anyOf"]]
+    if "properties" in strict:
+        strict |= {"additionalProperties": False, "required": list(strict["properties"])}
+    return strict

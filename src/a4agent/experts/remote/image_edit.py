@@ -1,0 +1,135 @@
+"""`openai-images:MODEL`: an image editor behind `POST /v1/images/edits`.
+
+    openai-images:gpt-image-2                                                       OpenAI
+    {expert = "openai-images:Qwen/Qwen-Image-Edit-2511", base_url = "http://127.0.0.1:8000/v1", server = "vllm",
+     extra = {num_inference_steps = 4, true_cfg_scale = 1.0, negative_prompt = " "}}    vLLM-Omni, SGLang
+
+The edited picture may come back in another size than the photo's. It is kept as it is: only the Thinker
+looks at it, and nothing is located in it.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import io
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from a4agent.errors import A4Error, ConfigError, UnreadableAnswer
+from a4agent.experts.remote.base import RemoteExpert, fields_from_setting
+from a4agent.experts.remote.connection import Connection
+from a4agent.imaging.encode import PictureEncoder
+from a4agent.protocols import EditAnswer, EditRequest, Role
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+
+def create(
+    model: str,
+    role: Role,
+    *,
+    base_url: str = "",
+    server: str = "",
+    api_key_variable: str = "",
+    size: str = "",
+    quality: str = "",
+    extra: Mapping[str, Any] | None = None,
+    max_side: int = 2048,
+    timeout: float = 300.0,
+    max_retries: int = 2,
+    concurrency: int = 4,
+    price: Mapping[str, float] | None = None,
+) -> OpenAIEditor:
+    """An image editor over HTTP.
+
+    Args:
+        model: the name the server knows it by.
+        role: must be "editor".
+        base_url: the server's address with "/v1"; "" is the usual place of `server`, or OpenAI.
+        server: a name from servers.toml; says whether a seed may be sent.
+        api_key_variable: the environment variable with the key, if not the server's usual one.
+        size: such as "1024x1024" or "auto"; "" leaves it to the server.
+        quality: such as "low" or "high"; "" leaves it to the server.
+        extra: fields of that server, such as {"num_inference_steps": 4, "true_cfg_scale": 1.0}.
+        max_side: longer photos are shrunk to it before they are sent, in pixels; 0 never.
+        timeout: seconds without a byte until a call counts as failed.
+        max_retries: repeats inside one call, honouring Retry-After.
+        concurrency: calls that may be in flight at once.
+        price: US dollars per million tokens, as {"input": 5.0, "image_input": 8.0, "output": 30.0}.
+
+    Raises:
+        ConfigError: a setting that does not fit.
+        CredentialError: the server needs a key and its variable is not set.
+        MissingExtraError: the openai package is not installed.
+    """
+    if role != "editor":
+        raise ConfigError(f"'openai-images:{model}' is an editor and cannot be the {role}")
+    connection = Connection(
+        model,
+        base_url=base_url,
+        server=server,
+        api_key_variable=api_key_variable,
+        timeout=timeout,
+        max_retries=max_retries,
+    )
+    wanted = {name: value for name, value in {"size": size, "quality": quality}.items() if value}
+    return OpenAIEditor(
+        connection, PictureEncoder("png", max_side), wanted, fields_from_setting(extra), concurrency, price
+    )
+
+
+class OpenAIEditor(RemoteExpert):
+    """An ImageEditor over a `Connection`; `create` explains the settings."""
+
+    def __init__(
+        self,
+        connection: Connection,
+        encoder: PictureEncoder,
+        wanted: Mapping[str, str],
+        extra: Mapping[str, Any],
+        concurrency: int,
+        price: Mapping[str, float] | None,
+    ) -> None:
+        settings = {"base_url": connection.base_url, **wanted, "extra": dict(extra), **encoder.settings}
+        super().__init__(
+            f"openai-images:{connection.model}", connection, settings=settings, concurrency=concurrency, price=price
+        )
+        self._encoder = encoder
+        self._wanted = dict(wanted)
+        self._extra = dict(extra)
+
+    def edit(self, requests: Sequence[EditRequest]) -> list[EditAnswer | A4Error]:
+        """One call a request. Errors that every request would meet are raised, others are answers."""
+        return self._one_by_one(requests, self._ask)
+
+    def _ask(self, request: EditRequest) -> EditAnswer:
+        picture = ("image.png", self._encoder.encode(request.image), self._encoder.media_type)
+        seed = {"seed": request.seed} if self._connection.server.edit_seed else {}
+        result, sent = self._connection.call(
+            lambda client: client.images.with_raw_response.edit(
+                model=self._connection.model,
+                image=picture,
+                prompt=request.prompt,
+                extra_body={**seed, **self._extra} or None,
+                **self._wanted,
+            )
+        )
+        data = getattr(result, "data", None)
+        encoded = getattr(data[0], "b64_json", None) if isinstance(data, list) and data else None
+        if not isinstance(encoded, str) or not encoded:
+            raise UnreadableAnswer(f"{self._connection} sent no picture (data[0].b64_json is missing)")
+        image = self._decode(encoded)
+        if request.on_step is not None:
+            request.on_step(1, 1)
+        return EditAnswer(image, self._usage(result, sent))
+
+    def _decode(self, encoded: str) -> Image:
+        from PIL import Image
+
+        try:
+            with Image.open(io.BytesIO(base64.b64decode(encoded, validate=True))) as image:
+                return image.convert("RGB")
+        except (binascii.Error, OSError, ValueError, Image.DecompressionBombError) as error:
+            raise UnreadableAnswer(f"{self._connection} sent a picture that cannot be read: {error}") from error

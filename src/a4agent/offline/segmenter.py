@@ -1,0 +1,116 @@
+"""`offline:parts` as a segmenter: the part, object or piece of material that a box and points mark.
+
+The regions that some phrase could mean come first; a prompt that fits none of them gets what stands out
+inside its box, or the even-coloured patch around its points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from a4agent.errors import A4Error, require
+from a4agent.offline.colour import to_lab
+from a4agent.offline.revision import revision
+from a4agent.offline.scene import Scene, forget, scene_of
+from a4agent.offline.silhouette import cut_out
+from a4agent.protocols import ExpertBase, Prompt, Segmentation, SegmentRequest
+
+FITS = 0.7
+"""A region whose box overlaps the prompt's by this much is what the prompt means."""
+
+
+class OfflineSegmenter(ExpertBase):
+    """A Segmenter with one candidate per prompt."""
+
+    def __init__(self, *, threads: int = 0) -> None:
+        super().__init__("offline:parts", revision=revision())
+        self.threads = threads
+
+    def segment(self, requests: Sequence[SegmentRequest]) -> list[Segmentation | A4Error]:
+        return [self._segment(request) for request in requests]
+
+    def _segment(self, request: SegmentRequest) -> Segmentation:
+        scene = scene_of(request.image, self.threads)
+        width, height = scene.size_wh
+        masks = np.zeros((len(request.prompts), 1, height, width), bool)
+        scores = np.zeros((len(request.prompts), 1), np.float32)
+        for index, prompt in enumerate(request.prompts):
+            masks[index, 0], scores[index, 0] = self._one(scene, prompt)
+        return Segmentation(masks, scores)
+
+    def _one(self, scene: Scene, prompt: Prompt) -> tuple[np.ndarray, float]:
+        """A mask (H, W) bool and how well it fits the prompt, 0..1."""
+        region, fit = _best_region(scene, prompt)
+        if region is not None and (fit >= FITS or prompt.box_xyxy is None):
+            return scene.to_image(region), fit
+        if prompt.box_xyxy is not None:
+            return self._inside(scene, prompt.box_xyxy), 0.5
+        return _patch(scene, prompt.points_xy), 0.3
+
+    def _inside(self, scene: Scene, box_xyxy: np.ndarray) -> np.ndarray:
+        """What stands out inside a box: of the main object, else by looking at the box alone."""
+        width, height = scene.size_wh
+        box = np.zeros((height, width), bool)
+        x0, y0 = np.clip(np.floor(box_xyxy[:2]), 0, [width - 1, height - 1]).astype(int)
+        x1, y1 = np.clip(np.ceil(box_xyxy[2:]), [x0 + 1, y0 + 1], [width, height]).astype(int)
+        box[y0:y1, x0:x1] = True
+        if scene.silhouette is not None:
+            part = scene.to_image(scene.silhouette.mask) & box
+            if part.sum() > 0.2 * box.sum():
+                return part
+        if min(x1 - x0, y1 - y0) < 8:
+            return box
+        found = cut_out(scene.rgb, box, self.threads)
+        part = found.to_image(found.mask, scene.size_wh) & box
+        return part if part.any() else box
+
+    def close(self) -> None:
+        forget()
+
+
+def _best_region(scene: Scene, prompt: Prompt) -> tuple[np.ndarray | None, float]:
+    """The region that fits a prompt best: by its box, or the smallest around its points; all points inside it."""
+    best, best_fit = None, 0.0
+    for region in scene.candidates:
+        inside = _share_inside(scene, region, prompt.points_xy)
+        if prompt.box_xyxy is not None:
+            fit = _overlap(scene.box_xyxy(region), prompt.box_xyxy) * (0.5 + 0.5 * inside)
+        else:
+            fit = float(inside == 1.0)
+        fit /= 1.0 + 0.1 * region.mean()  # of two that fit, a rim and what it surrounds, the smaller
+        if fit > best_fit:
+            best, best_fit = region, fit
+    return best, best_fit
+
+
+def _share_inside(scene: Scene, region: np.ndarray, points_xy: np.ndarray) -> float:
+    if not len(points_xy) or scene.silhouette is None:
+        return 1.0
+    x0, y0, x1, y1 = scene.silhouette.box_xyxy
+    height, width = region.shape
+    columns = np.floor((points_xy[:, 0] - x0) * width / (x1 - x0)).astype(int)
+    rows = np.floor((points_xy[:, 1] - y0) * height / (y1 - y0)).astype(int)
+    within = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
+    return float(np.mean([w and bool(region[r, c]) for w, r, c in zip(within, rows, columns, strict=True)]))
+
+
+def _overlap(a: np.ndarray, b: np.ndarray) -> float:
+    """Intersection over union of two boxes (4,)."""
+    sides = np.maximum(0.0, np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]))
+    shared = float(sides.prod())
+    union = float((a[2:] - a[:2]).prod() + (b[2:] - b[:2]).prod()) - shared
+    return shared / union if union > 0 else 0.0
+
+
+def _patch(scene: Scene, points_xy: np.ndarray) -> np.ndarray:
+    """The even-coloured patches (H, W) bool that points lie in."""
+    cv2 = require("cv2", extra="offline")
+    width, height = scene.size_wh
+    lab = np.ascontiguousarray(to_lab(scene.rgb, blur=1.0))
+    patch = np.zeros((height + 2, width + 2), np.uint8)
+    flags = 4 | cv2.FLOODFILL_MASK_ONLY | cv2.FLOODFILL_FIXED_RANGE | (1 << 8)
+    for x, y in np.clip(np.floor(points_xy), 0, [width - 1, height - 1]).astype(int):
+        cv2.floodFill(lab, patch, (int(x), int(y)), 0, (10.0,) * 3, (10.0,) * 3, flags)
+    return patch[1:-1, 1:-1] > 0

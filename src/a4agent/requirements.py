@@ -1,0 +1,260 @@
+"""What settings need on this machine: checkpoints, extras and keys, and the commands that get what is missing.
+
+    needs(load_settings("small").expert_specs())
+        -> [Need("Qwen/Qwen3-VL-2B-Instruct", roles=("thinker.vlm",), path=None, info=Model(gigabytes=4.3, ...)), ...]
+    check(settings.expert_specs())      before any work starts: every model is here, or can be fetched
+
+What a provider's model part stands for is in models.toml. A provider that is not there can say it itself:
+its factory's module may define `checkpoints(model, settings) -> list[str]` (folders, OWNER/NAME or
+OWNER/NAME/FILE). Experts inside experts count (`registry.inner_experts`).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+from a4agent.config import ExpertSettings, Settings, load_profile
+from a4agent.errors import A4Error, CredentialError, MissingExtraError, ModelFilesError, UnknownNameError
+from a4agent.experts import hub, registry
+from a4agent.files import read_package_toml
+from a4agent.protocols import Role
+
+_NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+(/.+)?")
+
+
+class Spec(Protocol):
+    """An expert as settings have it: "provider:model" and the expert's own settings."""
+
+    @property
+    def expert(self) -> str: ...
+
+    @property
+    def settings(self) -> dict[str, Any]: ...
+
+
+@dataclass(frozen=True)
+class Model:
+    """What the catalogue knows of a checkpoint: about how many 10^9 bytes, under which licence."""
+
+    name: str
+    gigabytes: float | None = None
+    licence: str = "see the model's page"
+    gated: bool = False
+    commercial: bool = True
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Need:
+    """One checkpoint that experts need. `path` is its folder or file on this disk, None if it has to be fetched."""
+
+    name: str
+    file: str
+    revision: str | None
+    roles: tuple[str, ...]
+    path: Path | None
+    info: Model
+
+    @property
+    def terms(self) -> str:
+        """What to know before fetching it: "about 3.4 GB, SAM License, gated: ..."."""
+        size = "" if self.info.gigabytes is None else f"about {self.info.gigabytes:g} GB"
+        closed = "" if self.info.commercial else "non-commercial"
+        gated = "gated: accept its licence on the model's page" if self.info.gated else ""
+        return ", ".join(filter(None, (size, self.info.licence, closed, gated, self.info.note)))
+
+    @property
+    def is_folder(self) -> bool:
+        """Whether it is a folder (or file) of the user's, which nobody fetches."""
+        return not _NAME.fullmatch(self.name) or Path(self.name).expanduser().exists()
+
+    @property
+    def reference(self) -> str:
+        """How `a4 models pull` is told of it."""
+        return hub.reference(self.name, self.revision, self.file)
+
+    @property
+    def commit(self) -> str:
+        """The commit that lies in the hub's cache; "" if none does."""
+        snapshot = re.search(r"snapshots[\\/]([0-9a-f]{40})", str(self.path or ""))
+        return snapshot[1] if snapshot else ""
+
+
+def catalogue() -> dict[str, Model]:
+    """The checkpoints whose size and licence are known, by name."""
+    return {row["name"]: Model(**row) for row in read_package_toml("a4agent.experts", "models.toml")["model"]}
+
+
+def needs(experts: Mapping[str, Spec]) -> list[Need]:
+    """The checkpoints behind experts, given by role; each once, in the order of the roles.
+
+    Raises:
+        UnknownNameError: nobody registered a provider.
+        ModelFilesError: a folder is not there.
+        MissingExtraError: a model of the hub is needed, and its client is not installed.
+    """
+    found: dict[tuple[str, str | None], Need] = {}
+    for role, spec in experts.items():
+        for checkpoint, revision in _checkpoints_of(spec.expert, spec.settings):
+            known = found.get((checkpoint, revision))
+            found[checkpoint, revision] = (
+                replace(known, roles=(*known.roles, role)) if known else need(checkpoint, revision, role)
+            )
+    return list(found.values())
+
+
+def need(checkpoint: str, revision: str | None = None, role: str = "") -> Need:
+    """One checkpoint: a folder, OWNER/NAME or OWNER/NAME/FILE, either with "@REVISION" at its end.
+
+    Raises:
+        ModelFilesError: neither a folder nor a name.
+    """
+    roles = (role,) if role else ()
+    path = Path(checkpoint).expanduser()
+    if path.exists():
+        return Need(checkpoint, "", None, roles, path, Model(checkpoint, licence="your own folder"))
+    checkpoint, _, pinned = checkpoint.partition("@")
+    revision = revision or pinned or None
+    if not _NAME.fullmatch(checkpoint):
+        raise ModelFilesError(f"there is no folder {checkpoint!r}, and the name of a model is written 'OWNER/NAME'")
+    owner, model, *rest = checkpoint.split("/")
+    name, file = f"{owner}/{model}", "/".join(rest)
+    info = catalogue().get(name, Model(name))
+    return Need(name, file, revision, roles, hub.cached(name, revision, file), info)
+
+
+def check(experts: Mapping[str, Spec]) -> list[Need]:
+    """Make sure that every model is on this disk or can be fetched; returns what still has to be fetched.
+
+    Asks the hub one small question a missing model, and nothing if none is missing.
+
+    Raises:
+        ModelFilesError: a model is not here and the hub cannot be reached; the message names all of them.
+        CredentialError: a model is gated and this account has no access.
+    """
+    missing = [one for one in needs(experts) if one.path is None]
+    failures: list[ModelFilesError | CredentialError] = []
+    for one in missing:
+        try:
+            hub.reach(one.name, one.revision, one.file)
+        except (ModelFilesError, CredentialError) as error:
+            failures.append(error)
+    if len(failures) == 1:
+        raise failures[0]
+    if failures:
+        names = " ".join(one.reference for one in missing)
+        raise type(failures[0])(
+            f"{failures[0]}\n{len(missing)} models are missing; all of them: a4 models pull {names}"
+        )
+    return missing
+
+
+def _checkpoints_of(spec: str, settings: Mapping[str, Any]) -> list[tuple[str, str | None]]:
+    """The checkpoints of one expert and of the experts inside it, with the revision that was asked for."""
+    provider, model = registry.split(spec)
+    table = read_package_toml("a4agent.experts", "models.toml")
+    if provider in table["local"]:
+        short = table["local"][provider]
+        if short and model not in short and "/" not in model and not Path(model).expanduser().exists():
+            hint = "A folder or OWNER/NAME will do as well."
+            raise UnknownNameError.of(f"model of {provider!r}:", model, short, hint)
+        revision = str(settings["revision"]) if settings.get("revision") else None
+        whole = (str(short.get(model, model)), revision)
+        return [whole, *((file, None) for file in _lora_of(model, settings, table["lightning"]))]
+    module: Any = sys.modules.get(registry.factory_of(provider).__module__)
+    own: Sequence[str] = module.checkpoints(model, settings) if hasattr(module, "checkpoints") else ()
+    found: list[tuple[str, str | None]] = [(name, None) for name in own]
+    for inner_spec, inner_settings in registry.inner_experts(spec, settings).values():
+        found += _checkpoints_of(inner_spec, inner_settings)
+    return found
+
+
+def _lora_of(model: str, settings: Mapping[str, Any], lightning: Mapping[str, str]) -> list[str]:
+    if settings.get("lora"):
+        return [str(settings["lora"])]
+    if settings.get("lightning") and model in lightning:
+        return [lightning[model].format(steps=settings["lightning"])]
+    return []
+
+
+EXTRAS: Mapping[str, tuple[str, ...]] = {
+    "offline": ("onnxruntime", "cv2"),
+    "api": ("openai",),
+    "local": ("torch", "transformers", "diffusers", "accelerate"),
+    "bench": ("datasets", "pyarrow"),
+    "serve": ("fastapi", "uvicorn", "multipart", "prometheus_client"),
+    "app": ("gradio",),
+    "ray": ("ray",),
+    "interop": ("supervision", "rerun"),
+    "sim": ("mujoco",),
+    "quantisation": ("bitsandbytes",),
+}
+"""Extra -> the modules it brings."""
+
+
+@dataclass(frozen=True)
+class Missing:
+    """One thing that is not here: `what` in words and the command that `fix`es it."""
+
+    what: str
+    fix: str
+
+
+def missing_modules(extra: str) -> list[str]:
+    """The modules of an extra that cannot be found."""
+    return [module for module in EXTRAS.get(extra, ()) if importlib.util.find_spec(module) is None]
+
+
+def check_profile(name: str) -> list[Missing]:
+    """What stands between this machine and a profile by itself; empty if nothing does. Never raises."""
+    try:
+        settings = load_profile(name)
+    except A4Error as error:
+        return [Missing(str(error), f"correct the profile {name!r}")]
+    return check_settings(settings)
+
+
+def check_settings(settings: Settings) -> list[Missing]:
+    """The same for settings that are merged already."""
+    found = [
+        Missing(f"the extra {extra!r} ({', '.join(modules)})", f"pip install 'a4agent[{extra}]'")
+        for extra in settings.profile.needs
+        if (modules := missing_modules(extra))
+    ]
+    experts = settings.expert_specs()
+    try:
+        checkpoints = needs(experts)
+    except A4Error as error:
+        return [*found, Missing(str(error), "correct the profile or the --set that names it")]
+    for one in checkpoints:
+        if one.path is None:
+            size = f", {one.info.gigabytes:g} GB" if one.info.gigabytes else ""
+            found.append(Missing(f"the model {one.name}{size}", f"a4 models pull {one.reference}"))
+    with_checkpoints = {role for one in checkpoints for role in one.roles}
+    for role, spec in experts.items():
+        if role not in with_checkpoints:
+            found += _try_to_build(role, spec)
+    return list(dict.fromkeys(found))
+
+
+def _try_to_build(role: str, spec: ExpertSettings) -> list[Missing]:
+    """An expert without a checkpoint is quickly made, and says itself what it lacks: a key, a library."""
+    try:
+        registry.create(spec.expert, cast(Role, role.rpartition(".")[2]), spec.settings).close()
+    except CredentialError as error:
+        variable = re.search(r"[A-Z][A-Z0-9]*_[A-Z0-9_]+", str(error))
+        return [Missing(f"a key for {spec.expert}", f"export {variable[0]}=..." if variable else str(error))]
+    except MissingExtraError as error:
+        what, _, fix = str(error).rpartition(": ")
+        return [Missing(what, fix)]
+    except A4Error as error:
+        return [Missing(f"{role}: {error}", f"--set {role}=PROVIDER:MODEL")]
+    except Exception as error:  # somebody's expert that breaks
+        return [Missing(f"{role}: {spec.expert} cannot be made: {error!r}", f"--set {role}=PROVIDER:MODEL")]
+    return []

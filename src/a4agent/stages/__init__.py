@@ -1,0 +1,1 @@
+"""The stages of the agent: Dreamer (how), Thinker (what), Spotter (where)."""

@@ -1,0 +1,138 @@
+"""Every model call leaves a step: a stage asks through a `Recorder`, which keeps what was asked and answered."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any, cast, overload
+
+from a4agent.errors import A4Error, ProviderError
+from a4agent.prompts import text_hash
+from a4agent.protocols import (
+    Answer,
+    ChatAnswer,
+    ChatRequest,
+    Detector,
+    DetectRequest,
+    EditAnswer,
+    EditRequest,
+    Expert,
+    ImageEditor,
+    Request,
+    Segmentation,
+    Segmenter,
+    SegmentRequest,
+    VisionLanguageModel,
+    ask,
+)
+from a4agent.types import Detection, Step, Trace
+
+KINDS: dict[str, type[Answer]] = {
+    "chat": ChatAnswer,
+    "edit": EditAnswer,
+    "detect": Detection,
+    "segment": Segmentation,
+}
+
+
+class Recorder:
+    """Asks one expert one thing at a time and keeps the steps, also those of calls that failed."""
+
+    def __init__(self) -> None:
+        self._steps: list[Step] = []
+
+    @property
+    def trace(self) -> Trace:
+        return Trace(tuple(self._steps))
+
+    @overload
+    def ask(self, stage: str, expert: VisionLanguageModel, request: ChatRequest) -> ChatAnswer: ...
+    @overload
+    def ask(self, stage: str, expert: ImageEditor, request: EditRequest) -> EditAnswer: ...
+    @overload
+    def ask(self, stage: str, expert: Detector, request: DetectRequest) -> Detection: ...
+    @overload
+    def ask(self, stage: str, expert: Segmenter, request: SegmentRequest) -> Segmentation: ...
+
+    def ask(self, stage: str, expert: Expert, request: Request) -> Answer:
+        """One request, one answer, one step.
+
+        Raises:
+            A4Error: whatever the expert raised or answered for this request.
+            ProviderError: the expert failed in a way it did not foresee.
+        """
+        prompt = _prompt_of(request)
+        step = Step(
+            stage=stage,
+            role=request.role,
+            expert=expert.id,
+            prompt=prompt,
+            prompt_hash=text_hash(prompt, getattr(request, "system", None)),
+        )
+        started = time.perf_counter()
+        try:
+            answer = ask(expert, [request])[0]
+            if isinstance(answer, A4Error):
+                raise answer
+            text = _text_of(_checked(answer, request))
+        except Exception as error:
+            seconds = time.perf_counter() - started
+            attempts = int(getattr(error, "attempts", 1))
+            self._steps.append(
+                replace(step, seconds=seconds, attempts=attempts, error=f"{type(error).__name__}: {error}")
+            )
+            if isinstance(error, A4Error):
+                raise
+            raise ProviderError(f"{expert.id} failed on a {request.verb} request: {error!r}") from error
+        usage = answer.usage
+        self._steps.append(
+            replace(
+                step,
+                seconds=usage.seconds or time.perf_counter() - started,
+                cached=usage.cached,
+                attempts=usage.attempts,
+                tokens_in=usage.tokens_in,
+                tokens_out=usage.tokens_out,
+                cost=usage.cost,
+                request_id=usage.request_id,
+                answer=text,
+            )
+        )
+        return answer
+
+
+def _checked(answer: Answer, request: Request) -> Answer:
+    """The answer, if it is of the kind that was asked for. Experts are other people's, and not all are typed."""
+    kind = KINDS[request.verb]
+    if not isinstance(answer, kind):
+        raise TypeError(f"a {type(answer).__name__} where a {kind.__name__} is expected")
+    if isinstance(answer, ChatAnswer) and not isinstance(cast(Any, answer.text), str):
+        raise TypeError(f"a ChatAnswer whose text is {type(answer.text).__name__}")
+    return answer
+
+
+def _prompt_of(request: Request) -> str:
+    if isinstance(request, ChatRequest):
+        return request.text
+    if isinstance(request, EditRequest):
+        return request.prompt
+    if isinstance(request, DetectRequest):
+        return request.phrase
+    prompts = [{"box": _listed(p.box_xyxy), "points": _listed(p.points_xy)} for p in request.prompts]
+    return str(prompts)
+
+
+def _listed(array: Any) -> Any:
+    return None if array is None else [round(float(x), 1) for x in array.ravel()]
+
+
+def _text_of(answer: Answer) -> str:
+    if isinstance(answer, ChatAnswer):
+        return f"{answer.reasoning}\n\n{answer.text}" if answer.reasoning else answer.text
+    if isinstance(answer, EditAnswer):
+        return f"an image of {answer.image.width} x {answer.image.height}"
+    if isinstance(answer, Detection):
+        return answer.text or f"{len(answer.boxes_xyxy)} boxes, {len(answer.points_xy)} points"
+    return (
+        f"{answer.masks.shape[0]} prompts, predicted IoU {[round(float(x), 3) for x in answer.predicted_iou.max(-1)]}"
+    )

@@ -1,0 +1,75 @@
+"""Run-length encoding against COCO's own rules."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+
+from a4agent.errors import DataError
+from a4agent.imaging.masks import decode_rle, encode_rle
+
+
+@given(arrays(bool, array_shapes(min_dims=2, max_dims=2, max_side=20)))
+def test_there_and_back(mask: np.ndarray) -> None:
+    packed = json.loads(json.dumps(encode_rle(mask)))
+    np.testing.assert_array_equal(decode_rle(packed), mask)
+
+
+def test_counts_run_down_the_columns() -> None:
+    mask = np.zeros((3, 2), bool)
+    mask[1:, 0] = True
+    np.testing.assert_array_equal(decode_rle({"size": [3, 2], "counts": [1, 2, 3]}), mask)
+
+
+def test_no_pixels() -> None:
+    assert decode_rle(encode_rle(np.zeros((0, 4), bool))).shape == (0, 4)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        {},
+        {"size": [2, 2]},
+        {"size": [2], "counts": ""},
+        {"size": [-1, 4], "counts": ""},
+        {"size": [2, 2], "counts": "é"},
+        {"size": [2, 2], "counts": [9, 9, 9]},
+        {"size": [2, 2], "counts": [3]},
+        {"size": [2, 2], "counts": [5, -1]},
+        {"size": [2, 2], "counts": [[1, 1], [1, 1]]},
+        {"size": [2, 2], "counts": ""},
+        {"size": [2, 2], "counts": "3"},
+        {"size": [2, 2], "counts": "T"},
+        {"size": [2, 2], "counts": "oooooooooo0"},
+        {"size": [10**6, 10**6], "counts": "0"},
+        {"size": [2, 2], "counts": 4},
+    ],
+)
+def test_nonsense_is_refused(value: dict[str, object]) -> None:
+    with pytest.raises(DataError):
+        decode_rle(value)
+
+
+@given(st.lists(st.integers(0, 5000), min_size=1, max_size=40))
+def test_compressed_text_is_read_as_pycocotools_reads_it(runs: list[int]) -> None:
+    from pycocotools import mask as coco
+
+    size = [sum(runs), 1]
+    packed = coco.frPyObjects({"size": size, "counts": runs}, *size)
+
+    mask = decode_rle({"size": size, "counts": packed["counts"]})
+
+    np.testing.assert_array_equal(mask, coco.decode(packed).astype(bool))
+    np.testing.assert_array_equal(mask, decode_rle({"size": size, "counts": runs}))
+
+
+@given(st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=30))
+def test_any_counts_are_read_or_refused(counts: str) -> None:
+    with contextlib.suppress(DataError):
+        assert decode_rle({"size": [5, 4], "counts": counts}).shape == (5, 4)

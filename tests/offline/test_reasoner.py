@@ -1,0 +1,83 @@
+"""The reasoner speaks the Dreamer's and the Thinker's language, in the shipped templates."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from a4agent import prompts
+from a4agent.errors import UnreadableAnswer
+from a4agent.offline import create
+from a4agent.offline.reasoner import dreamer_task, thinker_task
+from a4agent.prompts import fill
+from a4agent.protocols import ChatAnswer, ChatRequest
+
+ONE, TWO, DREAM = (prompts.load("paper", name) for name in ("thinker_one_image", "thinker", "dreamer"))
+
+
+def ask(text: str) -> str:
+    answer = create("reasoner", "vlm").chat([ChatRequest(images=(Image.new("RGB", (8, 8)),), text=text)])[0]
+    assert isinstance(answer, ChatAnswer)
+    return answer.text
+
+
+@pytest.mark.parametrize("template", [ONE, TWO])
+def test_the_thinkers_form(template: str) -> None:
+    answer = ask(fill(template, "open the refrigerator"))
+    assert answer.startswith("### Thinking\n")
+    output = json.loads(answer.partition("### Output")[2])
+    assert output == {
+        "task": "open the refrigerator",
+        "object_name": "refrigerator",
+        "object_part": "the handle of the refrigerator",
+    }
+
+
+@pytest.mark.parametrize("instruction", ["translate this letter", "abre la puerta"])
+def test_no_answer_is_an_empty_part_and_stays_one(instruction: str) -> None:
+    first, second = ask(fill(TWO, instruction)), ask(fill(TWO, instruction))
+    assert first == second
+    assert json.loads(first.partition("### Output")[2])["object_part"] == ""
+
+
+def test_the_dreamers_form() -> None:
+    prompt = ask(fill(DREAM, "drink from the mug"))
+    assert prompt.startswith("Edit the input image to ")
+    assert prompt.endswith("keep others unchanged")
+    assert "the handle of the mug" in prompt
+    assert "\n" not in prompt
+
+
+def test_the_dreamer_is_answered_even_where_the_part_is_not_known() -> None:
+    prompt = ask(fill(DREAM, "translate this"))
+    assert prompt.startswith("Edit the input image to ")
+    assert prompt.endswith("keep others unchanged")
+
+
+def test_another_prompt_is_refused_with_the_way_out() -> None:
+    answer = create("reasoner", "vlm").chat([ChatRequest(images=(), text="What is the capital of France?")])[0]
+    assert isinstance(answer, UnreadableAnswer)
+    assert "thinker.vlm" in str(answer)
+
+
+@given(st.text(alphabet=st.characters(exclude_categories=["Cs"]), min_size=1).filter(lambda text: text.strip()))
+def test_the_task_comes_out_of_the_templates_as_it_went_in(task: str) -> None:
+    if '". ' in task or '".\n' in task:
+        return  # looks like the end of the task
+    assert thinker_task(fill(TWO, task)) == task.strip()
+    assert dreamer_task(fill(DREAM, task)) == task.strip().strip('"')
+
+
+@given(st.text())
+def test_it_has_an_answer_to_everything(task: str) -> None:
+    assert "### Output" in ask(fill(TWO, task.replace('"', "'")))
+
+
+def test_a_batch_keeps_its_order() -> None:
+    tasks = ["hold the spoon", "hold the fork", "hold the knife"]
+    answers = create("reasoner", "vlm").chat([ChatRequest(images=(), text=fill(TWO, task)) for task in tasks])
+    assert [json.loads(a.text.partition("### Output")[2])["object_name"] for a in answers] == ["spoon", "fork", "knife"]
