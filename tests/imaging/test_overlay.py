@@ -79,13 +79,9 @@ def test_a_picture_over_the_usual_limit_can_be_drawn(monkeypatch: pytest.MonkeyP
 
 
 def test_an_answer_is_saved_whole_and_read_back(tmp_path: Path) -> None:
-    from dataclasses import replace
-
-    from a4agent.imaging.save import load
-
     photo = Image.new("RGB", (64, 48))
     affordance = replace(answer(64, 48, (4, 4, 20, 20)), image=photo)
     folder = affordance.save(tmp_path / "a" / "b")
     assert sorted(path.name for path in folder.iterdir()) == ["affordance.json", "mask.png", "overlay.png"]
     np.testing.assert_array_equal(np.asarray(load_image(folder / "mask.png"))[..., 0] > 0, affordance.mask)
-    assert load(folder).to_dict() == affordance.to_dict()
+    assert Affordance.load(folder).to_dict() == affordance.to_dict()

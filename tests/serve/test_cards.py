@@ -68,7 +68,7 @@ def layers(page: str) -> list[Image.Image]:
 def test_fading_the_tint_is_drawing_with_that_opacity() -> None:
     progress = Progress(PHOTO, "open", True, True).after("affordance", answer(), 1.0)
     plain, tint = (np.asarray(layer, float) for layer in layers(cards.picture(progress)))
-    expected = np.asarray(overlay.draw(PHOTO, answer(), opacity=0.4, caption=False), float)
+    expected = np.asarray(overlay.draw(PHOTO, answer().regions, opacity=0.4), float)
     assert np.abs(0.6 * plain + 0.4 * tint - expected).mean() < 3  # JPEG, and the outline's anti-aliasing
 
 
