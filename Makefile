@@ -17,9 +17,9 @@ PIP := $(BIN)/pip install -q --disable-pip-version-check
 
 demo: .venv/.demo
 	@echo 'a photograph: a4 predict examples/coffee.jpg "fill the cup"'
-	@$(BIN)/a4 predict examples/coffee.jpg "fill the cup" --profile offline --out out/demo
+	@$(BIN)/a4 predict examples/coffee.jpg "fill the cup" --profile offline --out out/demo --overwrite
 	@echo 'a scene of the simulator benchmark: a4 predict examples/sim/images/0001-mug.jpg "pick up the mug by its handle"'
-	@$(BIN)/a4 predict examples/sim/images/0001-mug.jpg "pick up the mug by its handle" --profile offline --out out/demo
+	@$(BIN)/a4 predict examples/sim/images/0001-mug.jpg "pick up the mug by its handle" --profile offline --out out/demo --overwrite
 	@echo 'to go on: source .venv/bin/activate'
 
 test: .venv/.test system check

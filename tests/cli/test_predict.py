@@ -13,8 +13,6 @@ import pytest
 from PIL import Image
 
 from a4agent.cli.main import main
-from a4agent.cli.predict import name_samples, split_arguments
-from a4agent.errors import InputError
 from a4agent.experts import registry
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, output
 
@@ -78,12 +76,11 @@ def test_a_folder_of_images_keeps_every_name_apart(capsys: pytest.CaptureFixture
 def test_one_bad_file_fails_alone(capsys: pytest.CaptureFixture[str]) -> None:
     Path("photos/broken.jpg").write_bytes(b"\xff\xd8\xff not a picture")
     Path("photos/empty.jpg").touch()
-    assert run("photos", "none.png", "drink", "--json") == 1
+    assert run("photos", "drink", "--json") == 1
     lines = {Path(line["image"]).name: line for line in map(json.loads, capsys.readouterr().out.splitlines())}
-    assert len(lines) == 5  # two photos share the name mug.png
+    assert len(lines) == 4  # two photos share the name mug.png
     assert lines["mug.png"]["status"] == "ok"
     assert "empty file" in lines["empty.jpg"]["error"]
-    assert "no such image" in lines["none.png"]["error"]
     assert lines["broken.jpg"]["status"] == "error"
     assert Path(lines["empty.jpg"]["out"], "affordance.json").exists()
 
@@ -97,6 +94,9 @@ def test_an_answer_that_cannot_be_used_exits_with_1(capsys: pytest.CaptureFixtur
     ("arguments", "words"),
     [
         (["photos/mug.png"], "an instruction"),
+        (["photos/mug.png", "fill", "the", "cup"], "quotes: a4 predict photos/mug.png 'fill the cup'"),
+        (["photos/none.png", "drink"], "no such image: 'photos/none.png'"),
+        (["photos", "photos/none.png", "drink"], "no such image: 'photos/none.png'"),
         (["photos/mug.png", "photos/cup.v2.png"], "instruction"),
         (["photos/mug.png", "  "], "instruction"),
         (["photos/*.jpg", "drink"], "nothing matches"),
@@ -117,6 +117,30 @@ def test_wrong_use_exits_with_2_and_says_what_is_right(
     assert "Traceback" not in said
 
 
+def test_a_second_question_keeps_the_first_answer() -> None:
+    assert run("photos/mug.png", "drink") == 0
+    first = Path("out/mug/affordance.json").read_bytes()
+    assert run("photos/mug.png", "fail at it") == 1
+    assert run("photos/mug.png", "drink") == 0
+    assert Path("out/mug/affordance.json").read_bytes() == first
+    assert json.loads(Path("out/mug-2/affordance.json").read_text())["status"] == "invalid"
+    assert Path("out/mug-3/mask.png").exists()
+    assert run("photos/mug.png", "fail at it", "--overwrite") == 1
+    assert json.loads(Path("out/mug/affordance.json").read_text())["status"] == "invalid"
+
+
+def test_nothing_is_written_for_a_source_that_is_not_there() -> None:
+    for missing in ("photos/none.png", "photos/*.jpg", "http://127.0.0.1:9/mug.png"):
+        assert run("photos", missing, "drink") == 2
+    assert not Path("out").exists()
+
+
+def test_an_answer_from_the_cache_is_called_one(capsys: pytest.CaptureFixture[str]) -> None:
+    for said in ("3 model calls", "3 answers from the cache"):
+        assert run("photos/mug.png", "drink", "--cache", "write", "--set", "engine.cache_dir=kept") == 0
+        assert said in capsys.readouterr().out
+
+
 def test_running_again_beside_its_answers_takes_the_same_photographs(capsys: pytest.CaptureFixture[str]) -> None:
     for _ in range(2):
         assert run("photos", "drink", "--out", "photos/out", "--json") == 0
@@ -129,7 +153,7 @@ def test_an_instruction_may_be_longer_than_a_file_name(capsys: pytest.CaptureFix
 
 def test_an_out_folder_may_look_like_markup(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("photos", "drink", "--out", "o[/]x") == 0
-    assert "answers in o[/]x/" in capsys.readouterr().err
+    assert "results in o[/]x/" in capsys.readouterr().err
 
 
 def test_an_answer_that_cannot_be_written_points_to_no_file(capsys: pytest.CaptureFixture[str]) -> None:
@@ -153,43 +177,6 @@ def test_names_and_words_that_the_terminal_cannot_show(tmp_path: Path, options: 
     if options:
         assert json.loads(done.stdout)["image"] == name
         assert json.loads(done.stdout)["instruction"] == "\u559d"
-
-
-def test_globs_and_folders_and_files_mix() -> None:
-    images, instruction = split_arguments(["photos/left", "photos/*.png", "photos/mug.png", "drink it"])
-    assert [path.as_posix() for path in images] == ["photos/left/mug.png", "photos/cup.v2.png", "photos/mug.png"]
-    assert instruction == "drink it"
-    Path("bare").mkdir()
-    with pytest.raises(InputError, match="no images"):
-        split_arguments(["bare", "drink"])
-
-
-def test_photographs_that_are_not_read_are_not_passed_over_in_silence(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("phone").mkdir()
-    for name in ("one.HEIC", "two.heic", "three.avif"):
-        Path("phone", name).touch()
-    with pytest.raises(InputError, match=r"only \.avif, \.heic files; convert them"):
-        split_arguments(["phone", "drink"])
-    Path("phone", "four.jpg").touch()
-    assert split_arguments(["phone", "drink"])[0] == [Path("phone/four.jpg")]
-    assert "3 files in 'phone' are passed over (.avif, .heic)" in capsys.readouterr().err
-
-
-def test_names_are_short_unique_and_whole() -> None:
-    paths = [
-        Path(p) for p in ("a/mug.png", "b/mug.png", "cup.v2.png", "pan.jpg", "pan.png", "x/a/mug.png", "Cup.v2.png")
-    ]
-    names = name_samples(paths)
-    assert sorted(names.values()) == sorted(paths)
-    assert len({name.lower() for name in names}) == len(paths)
-    assert names["pan.jpg"] == Path("pan.jpg")
-    assert names["b_mug.png"] == Path("b/mug.png")
-
-
-def test_a_number_never_takes_a_name_that_is_taken() -> None:
-    paths = [Path(p) for p in ("a/x/m.png", "b/x/m.png", "00001_m.png.png")]
-    names = name_samples(paths)
-    assert list(names.values()) == paths
 
 
 SLOW = """

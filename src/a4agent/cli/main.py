@@ -11,7 +11,10 @@ import typer
 
 from a4agent import __version__
 from a4agent.cli import common
-from a4agent.errors import A4Error
+from a4agent.errors import A4Error, UserError
+
+CommandLineError: Any = typer.BadParameter.__mro__[2]
+"""click's base class; depending on the version, typer depends on click or carries its own copy."""
 
 COMMANDS = {
     "predict": ("predict", "Find the part to act on, in images, folders or globs."),
@@ -82,19 +85,31 @@ def main(arguments: list[str] | None = None) -> None:
             stream.reconfigure(errors="backslashreplace")
     name = next((argument for argument in arguments if not argument.startswith("-")), None)
     try:
-        build(name)(args=arguments)
+        code = build(name)(args=arguments, prog_name="a4", standalone_mode=False)
+        if code == common.INTERRUPTED:
+            common.say("interrupted")
+        sys.exit(code if isinstance(code, int) else common.OK)
+    except CommandLineError as error:
+        sys.exit(_usage(error))
     except A4Error as error:
         sys.exit(common.fail(error))
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, typer.Abort):
         common.say("interrupted")
         sys.exit(common.INTERRUPTED)
-    except SystemExit as ended:
-        if isinstance(getattr(ended.__context__, "__cause__", None), KeyboardInterrupt):  # typer says nothing
-            common.say("interrupted")
-        raise
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(common.SOME_FAILED)
+
+
+def _usage(error: Any) -> int:
+    """Print what is wrong with the command line, in one line; returns the exit code."""
+    if type(error).__name__ == "NoArgsIsHelpError":  # its message is the help
+        error.show(file=sys.stdout)
+        return common.USAGE
+    text = error.format_message().strip().rstrip(".")
+    command = error.ctx.command_path if getattr(error, "ctx", None) else "a4"
+    end = " See" if text.endswith("?") else "; see"
+    return common.fail(UserError(f"{text[:1].lower()}{text[1:]}{end} {command} --help"))
 
 
 if __name__ == "__main__":

@@ -1,12 +1,9 @@
-"""`a4 predict IMAGE... "instruction"`: files, folders and globs in, one folder a sample out."""
+"""`a4 predict IMAGE... "instruction"`: images in, one folder of results for each out."""
 
 from __future__ import annotations
 
-import glob
-import itertools
 import json
-import os
-from collections import defaultdict
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,118 +12,59 @@ import typer
 
 from a4agent.cli import common
 from a4agent.cli.common import ProfileOption, SetOption, say
+from a4agent.cli.sources import Source, find_sources, free_folder, name_results, split_arguments
 from a4agent.errors import InputError
 
 if TYPE_CHECKING:
     from a4agent.config import Settings
-    from a4agent.types import Affordance
+    from a4agent.types import Affordance, Trace
 
 
 def predict(
     arguments: Annotated[
         list[str],
-        typer.Argument(metavar='IMAGE... "INSTRUCTION"', help="Image files, folders or globs; then what to do."),
+        typer.Argument(
+            metavar='IMAGE... "INSTRUCTION"',
+            help="Image files, folders, globs, URLs or - (standard input); then what to do, in quotes.",
+        ),
     ],
     profile: ProfileOption = None,
     sets: SetOption = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="A folder a sample is made in here.")] = Path("out"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="Where each image gets a folder of results.")] = Path("out"),
     as_json: Annotated[bool, typer.Option("--json", help="Print each answer as a line of JSON.")] = False,
     cache: Annotated[str | None, typer.Option(help="off, read or write: reuse answers kept on disk.")] = None,
     max_cost: Annotated[float | None, typer.Option(help="Stop at this many US dollars.")] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace earlier results instead of writing NAME-2, NAME-3, ...")
+    ] = False,
 ) -> None:
     """Find the part to act on, in images, folders or globs.
 
-    Writes OUT/NAME/ with affordance.json, mask.png, overlay.png and, when dreamt, imagination.png.
+    Writes OUT/NAME/ with affordance.json, mask.png, overlay.png and, when a Dreamer ran, imagination.png.
+    Exits with 1 if an image failed or its answer is not certain enough.
     """
     from a4agent.imaging.save import make_folder
 
-    images, instruction = split_arguments(arguments)
+    named, instruction = split_arguments(arguments)
     settings = common.settings(profile, sets, engine__cache=cache, engine__max_cost=max_cost)
+    samples = name_results(find_sources(named))
     make_folder(out)
-    failed = _run(settings, name_samples(images), instruction, out, as_json)
+    folders = {name: out / name if overwrite else free_folder(out, name) for name in samples}
+    failed = _run(settings, samples, instruction, folders, as_json)
     raise typer.Exit(common.SOME_FAILED if failed else common.OK)
 
 
-def split_arguments(arguments: list[str]) -> tuple[list[Path], str]:
-    """The images that the arguments name, and the instruction behind them.
-
-    Raises:
-        InputError: no image, no instruction, an empty folder or a glob that matches nothing.
-    """
-    from a4agent.imaging.load import SUFFIXES, UNREAD, find_images
-
-    *sources, instruction = arguments
-    if not sources:
-        raise InputError(
-            f"an image and an instruction are needed, and there is only {instruction!r};"
-            " for instance: a4 predict mug.jpg 'drink from the mug'"
-        )
-    if not instruction.strip() or os.path.exists(instruction):
-        raise InputError(
-            f"the last argument is the instruction, not {instruction!r};"
-            " put it in quotes at the end: a4 predict mug.jpg 'drink from the mug'"
-        )
-    images: list[Path] = []
-    for source in sources:
-        if os.path.isdir(source):
-            pictures = find_images(Path(source), SUFFIXES | UNREAD)
-            found = [path for path in pictures if path.suffix.lower() in SUFFIXES]
-            unread = [path for path in pictures if path.suffix.lower() in UNREAD]
-            formats = ", ".join(sorted({path.suffix.lower() for path in unread}))
-            if not found and unread:
-                raise InputError(f"the folder {source!r} has only {formats} files; convert them to JPEG or PNG")
-            if not found:
-                raise InputError(f"no images in the folder {source!r}")
-            if unread:
-                common.warn(
-                    f"{len(unread)} files in {source!r} are passed over ({formats}); convert them to JPEG or PNG"
-                )
-            images += found
-        elif not os.path.exists(source) and glob.has_magic(source):
-            found = sorted(Path(name) for name in glob.glob(source, recursive=True) if os.path.isfile(name))
-            if not found:
-                raise InputError(f"nothing matches {source!r}")
-            images += found
-        else:
-            images.append(Path(source))
-    return list(dict.fromkeys(images)), instruction
-
-
-def name_samples(images: list[Path]) -> dict[str, Path]:
-    """A name for each image, as short as is unique: mug, mug.jpg, left_mug.jpg, or with a number."""
-    taken: set[str] = set()
-    name_of: dict[Path, str] = {}
-    for form in (
-        lambda path: path.stem,
-        lambda path: path.name,
-        lambda path: f"{path.resolve().parent.name}_{path.name}",
-    ):
-        alike: defaultdict[str, list[Path]] = defaultdict(list)
-        for path in images:
-            if path not in name_of:
-                alike[form(path).lower()].append(path)
-        for name, (first, *others) in alike.items():
-            if not others and name not in taken:
-                name_of[first] = form(first)
-                taken.add(name)
-    numbers = itertools.count(1)
-    for path in images:
-        while path not in name_of:
-            name = f"{next(numbers):05d}_{path.name}"
-            if name.lower() not in taken:
-                name_of[path] = name
-    return {name_of[path]: path for path in images}
-
-
-def _run(settings: Settings, samples: dict[str, Path], instruction: str, out: Path, as_json: bool) -> int:
-    """Predict, save and tell; returns how many samples failed."""
+def _run(
+    settings: Settings, samples: dict[str, Source], instruction: str, folders: dict[str, Path], as_json: bool
+) -> int:
+    """Predict, save and print; returns how many samples were not accepted."""
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
     from a4agent import engine
     from a4agent.types import Query
 
-    queries = (Query(name, path, instruction) for name, path in samples.items())
-    failed = 0
+    queries = (Query(name, source.image, instruction) for name, source in samples.items())
+    statuses: Counter[str] = Counter()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with (
         common.build_agent(settings) as agent,
@@ -134,35 +72,36 @@ def _run(settings: Settings, samples: dict[str, Path], instruction: str, out: Pa
     ):
         task = progress.add_task("predicting", total=len(samples))
         for query, affordance in engine.run(agent, queries, settings=settings.engine):
-            folder = out / query.id
+            label, folder = samples[query.id].label, folders[query.id]
             saved = True
             try:
                 affordance.save(folder)
             except InputError as error:
                 saved, affordance = False, replace(affordance, status="error", error=str(error))
-            failed += affordance.status in ("error", "invalid")
+            statuses[affordance.status] += 1
             if as_json:
-                line = {"image": str(query.image), "out": str(folder), **affordance.to_dict()}
-                print(json.dumps(line), flush=True)
+                print(json.dumps({"image": label, "out": str(folder), **affordance.to_dict()}), flush=True)
             elif len(samples) == 1:
                 _tell(affordance, folder if saved else None)
             else:
-                _tell_in_short(affordance, Path(str(query.image)))
+                _tell_in_short(affordance, label)
             progress.advance(task)
+    failed = statuses["error"] + statuses["invalid"]
     if len(samples) > 1:
-        done = len(samples) - failed
-        say(f"{done} of {len(samples)} done, {failed} failed; answers in {out}/")
-    return failed
+        unsure = f", {statuses['abstained']} unsure" if statuses["abstained"] else ""
+        place = next(iter(folders.values())).parent
+        say(f"{len(samples) - failed} of {len(samples)} answered{unsure}, {failed} failed; results in {place}/")
+    return failed + statuses["abstained"]
 
 
-def _tell_in_short(affordance: Affordance, image: Path) -> None:
+def _tell_in_short(affordance: Affordance, label: str) -> None:
     """One answer of many, in a line."""
     from rich.console import Console
     from rich.text import Text
 
     status = (f"{affordance.status:8}", "green" if affordance.status == "ok" else "red")
     console = Console(highlight=False, emoji=False, soft_wrap=True)
-    console.print(Text.assemble(status, f"{image}: {affordance.summary}"))
+    console.print(Text.assemble(status, f"{label}: {affordance.summary}"))
 
 
 def _tell(affordance: Affordance, folder: Path | None) -> None:
@@ -182,10 +121,22 @@ def _tell(affordance: Affordance, folder: Path | None) -> None:
         rows.append(("box", "; ".join(", ".join(f"{x:.0f}" for x in box) for box in affordance.boxes_xyxy) or "none"))
         rows.append(("points", "; ".join(f"({x:.0f}, {y:.0f})" for x, y in affordance.points_xy) or "none"))
         rows.append(("mask", f"{int(affordance.mask.sum())} pixels, {share:.1%} of the image"))
-    cost = f", ${affordance.trace.cost:.4f}" if affordance.trace.cost else ""
-    rows.append(("took", f"{affordance.trace.seconds:.2f} s in {len(affordance.trace.steps)} model calls{cost}"))
+    rows.append(("took", _took(affordance.trace)))
     if folder is not None:
         name, file = ("file", "affordance.json") if affordance.image is None else ("overlay", "overlay.png")
         rows.append((name, str(folder / file)))
     for name, value in rows:
         console.print(Text.assemble((f"{name:>9}  ", "bold cyan"), (value, "" if name != "answer" else "red")))
+
+
+def _took(trace: Trace) -> str:
+    """ "1.20 s in 2 model calls, $0.0040, and 1 answer from the cache"."""
+    cached = sum(step.cached for step in trace.steps)
+    asked = len(trace.steps) - cached
+    parts: list[str] = []
+    if asked or not cached:
+        cost = f", ${trace.cost:.4f}" if trace.cost else ""
+        parts.append(f"{trace.seconds:.2f} s in {asked} model call{'' if asked == 1 else 's'}{cost}")
+    if cached:
+        parts.append(f"{cached} answer{'' if cached == 1 else 's'} from the cache")
+    return ", and ".join(parts)
