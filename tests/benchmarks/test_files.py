@@ -109,6 +109,26 @@ def test_polygons_of_an_impossible_size(size_hw: object) -> None:
         files.read_polygons([[0, 0, 4, 0, 4, 4]], size_hw, "here")
 
 
+@pytest.mark.parametrize("far", [1e9, -1e308, 1e308, 2**31, -25.0, 37.0])
+def test_a_corner_far_outside_is_refused_before_it_is_drawn(far: float) -> None:
+    """pycocotools walks along each edge and crashes the process, or fills its memory, on a single such number."""
+    for polygon in ([10, 1, 5, 1, 5, far], [far, 1, 5, 1, 5, 4]):
+        with pytest.raises(DataError, match=r"sample 'x': .*far outside the image of 12 x 8"):
+            files.read_polygons([polygon], (8, 12), "sample 'x'")
+
+
+def test_a_corner_just_outside_is_clipped() -> None:
+    mask = files.read_polygons([[-3, -3, 6, -3, 6, 4, -3, 4]], (8, 12), "x")
+    assert mask[:4, :6].all()
+    assert mask.sum() == 24
+
+
+def test_too_many_corners(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "MAX_COORDINATES", 10)
+    with pytest.raises(DataError, match="more than 10 coordinates"):
+        files.read_polygons([[1, 1, 5, 1, 5, 4]] * 2, (8, 12), "x")
+
+
 def test_no_polygons_are_a_blank_mask() -> None:
     assert files.read_polygons([], (8, 12), "here").shape == (8, 12)
 

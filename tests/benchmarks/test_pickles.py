@@ -19,42 +19,69 @@ from hypothesis import strategies as st
 from a4agent.benchmarks import pickles
 from a4agent.errors import DataError
 
-PLAIN = [{"frame_path": "./data/x.jpg", "n": 3, "f": 0.5, "b": b"raw", "none": None, "t": (1, True), "s": {1, 2}}]
+PLAIN = [{"frame_path": "./data/x.jpg", "n": 3, "f": 0.5, "b": b"raw", "none": None, "t": (1, True)}]
 
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_plain_data_is_read_in_every_protocol(tmp_path: Path, protocol: int) -> None:
-    later = ("b", "s") if protocol < 4 else ()  # bytes and sets: earlier protocols build them by calls
+    later = ("b",) if protocol < 3 else ()  # bytes: earlier protocols build them by calls
     plain = [{key: value for key, value in PLAIN[0].items() if key not in later}]
     (tmp_path / "x.pkl").write_bytes(pickle.dumps(plain, protocol=protocol))
 
     assert pickles.load(tmp_path / "x.pkl") == plain
 
 
-@pytest.mark.parametrize("protocol", range(2, pickle.HIGHEST_PROTOCOL + 1))
-@pytest.mark.parametrize(
-    "value", [np.arange(12, dtype=np.uint8).reshape(3, 4), np.float32(0.5), np.array(["a", None], object), np.eye(2).T]
-)
-def test_numpy_arrays_are_read(tmp_path: Path, value: Any, protocol: int) -> None:
+@pytest.mark.parametrize("value", [np.arange(3), np.float32(0.5), {1, 2}, collections.OrderedDict(a=1), 1j])
+@pytest.mark.parametrize("protocol", [2, pickle.HIGHEST_PROTOCOL])
+def test_other_values_are_refused(tmp_path: Path, value: Any, protocol: int) -> None:
+    """Also arrays: numpy's own way to rebuild one takes any shape for any bytes, which corrupts memory."""
     (tmp_path / "x.pkl").write_bytes(pickle.dumps([value], protocol=protocol))
-
-    assert np.array_equal(pickles.load(tmp_path / "x.pkl")[0], value)
-
-
-def test_arrays_written_by_either_numpy_are_read(tmp_path: Path) -> None:
-    raw = pickle.dumps(np.arange(3), protocol=2)
-    old = raw.replace(b"numpy._core.", b"numpy.core.")
-    new = raw.replace(b"numpy.core.", b"numpy._core.")
-
-    for number, content in enumerate((old, new)):
-        (tmp_path / f"{number}.pkl").write_bytes(content)
-        assert pickles.load(tmp_path / f"{number}.pkl").tolist() == [0, 1, 2]
+    with pytest.raises(DataError, match="only lists, dicts, texts and numbers"):
+        pickles.load(tmp_path / "x.pkl")
 
 
-def test_ordered_dicts_are_read(tmp_path: Path) -> None:
-    (tmp_path / "x.pkl").write_bytes(pickle.dumps(collections.OrderedDict(a=1)))
+def nested(depth: int) -> Any:
+    value: Any = "end"
+    for _ in range(depth):
+        value = [value]
+    return value
 
-    assert pickles.load(tmp_path / "x.pkl") == {"a": 1}
+
+def sharing(doublings: int) -> Any:
+    value: Any = ("a",)
+    for _ in range(doublings):
+        value = (value, value)
+    return value
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (nested(200), "nested more than"),
+        (sharing(60), "nested more than"),
+        ([1 << 65], "66 bits"),
+        ([10**5000], "bits"),
+    ],
+)
+def test_values_that_take_too_long_are_refused_at_once(tmp_path: Path, value: Any, words: str) -> None:
+    (tmp_path / "x.pkl").write_bytes(pickle.dumps(value))
+    with pytest.raises(DataError, match=words):
+        pickles.load(tmp_path / "x.pkl")
+
+
+@pytest.mark.parametrize("raw", [b"]r\xff\xff\xff\x7f.", b"]p9999999999\n.", b"L" + b"9" * 100_000 + b"L\n."])
+def test_small_files_take_little_memory(tmp_path: Path, raw: bytes) -> None:
+    """A memo slot of 2^31 would be allocated by the unpickler; the same for what a number's text asks for."""
+    (tmp_path / "x.pkl").write_bytes(raw)
+    with pytest.raises(DataError):
+        pickles.load(tmp_path / "x.pkl")
+
+
+def test_a_large_file_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "x.pkl").write_bytes(pickle.dumps(["x" * 100]))
+    monkeypatch.setattr(pickles, "MAX_BYTES", 50)
+    with pytest.raises(DataError, match="over the limit"):
+        pickles.load(tmp_path / "x.pkl")
 
 
 class Touch:

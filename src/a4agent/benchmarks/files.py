@@ -16,6 +16,8 @@ from a4agent.errors import A4Error, DataError
 from a4agent.imaging.masks import decode_rle
 
 MAX_PIXELS = 100_000_000
+MAX_COORDINATES = 1_000_000
+"""In all polygons of one mask."""
 
 
 def folder(path: str | Path, benchmark: str) -> Path:
@@ -109,8 +111,14 @@ def read_polygons(polygons: Any, size_hw: Any, where: str) -> np.ndarray:
         if height < 1 or width < 1 or height * width > MAX_PIXELS:
             raise ValueError(f"an image of {width} x {height} pixels")
         corners = [[float(value) for value in polygon] for polygon in polygons]
-        if any(len(polygon) < 6 or len(polygon) % 2 or not np.isfinite(polygon).all() for polygon in corners):
-            raise ValueError("a polygon needs three corners or more, each of two finite numbers")
+        if any(len(polygon) < 6 or len(polygon) % 2 for polygon in corners):
+            raise ValueError("a polygon needs three corners or more, each of two numbers")
+        if sum(len(polygon) for polygon in corners) > MAX_COORDINATES:
+            raise ValueError(f"more than {MAX_COORDINATES} coordinates")
+        for polygon in corners:  # pycocotools draws each edge in memory, however far it leads
+            xy = np.array(polygon).reshape(-1, 2)
+            if not ((xy >= [-width, -height]) & (xy <= [2 * width, 2 * height])).all():
+                raise ValueError(f"a corner far outside the image of {width} x {height} pixels")
         if not corners:
             return np.zeros((height, width), bool)
         filled = coco.decode(coco.merge(coco.frPyObjects(corners, height, width)))

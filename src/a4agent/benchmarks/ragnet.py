@@ -105,23 +105,28 @@ def _rows(path: Path) -> list[_Row]:
         try:
             row = _Row(
                 number=number,
-                frame=_beside(entry["frame_path"]),
-                mask=_beside(entry["mask_path"]),
-                question=str(entry["question"]),
-                answer=str(entry.get("answer", "")),
-                object_class=str(entry.get("task_object_class", "")),
+                frame=_beside(_text(entry, "frame_path")),
+                mask=_beside(_text(entry, "mask_path")),
+                question=_text(entry, "question"),
+                answer=_text(entry, "answer", ""),
+                object_class=_text(entry, "task_object_class", ""),
             )
         except (KeyError, TypeError, AttributeError) as error:
-            raise DataError(f"row {number} of {str(path)!r} is not a question: {error!r}") from error
+            raise DataError(f"row {number} of {str(path)!r} is not a question: {error!r:.200}") from error
         if PurePosixPath(row.frame).name != BROKEN_FRAME:
             rows.append(row)
     return rows
 
 
-def _beside(name: Any) -> str:
+def _text(entry: Any, key: str, default: str | None = None) -> str:
+    value = entry[key] if default is None else entry.get(key, default)
+    if not isinstance(value, str):
+        raise TypeError(f"{key!r} must be a text, not {type(value).__name__}")
+    return value
+
+
+def _beside(name: str) -> str:
     """ "./data/3doi/images/x.jpg" -> "3doi/images/x.jpg"."""
-    if not isinstance(name, str):
-        raise TypeError(f"a path that is not a text: {name!r}")
     return name.removeprefix("./").removeprefix("data/")
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from a4agent.errors import DataError
 
 Rle = dict[str, Any]
+MAX_PIXELS = 100_000_000
 
 
 def encode_rle(mask: np.ndarray) -> Rle:
@@ -34,7 +35,7 @@ def decode_rle(rle: Mapping[str, Any]) -> np.ndarray:
         counts = rle["counts"]
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"not a COCO RLE, which has 'size' [h, w] and 'counts': {str(rle)[:80]!r}") from error
-    if height < 0 or width < 0 or height * width > 2**31:
+    if height < 0 or width < 0 or height * width > MAX_PIXELS:
         raise DataError(f"a COCO RLE of impossible size {height} x {width}")
     try:
         runs = np.array(counts, np.int64) if isinstance(counts, list) else _runs(counts)
