@@ -24,23 +24,32 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Part:
-    """`shape` says how to find it in a picture (see `shapes`); of two parts that afford an action the first wins."""
+    """`shape` says how to find it in a picture and `map` on which of the network's maps, if not its shape's usual one.
+
+    Of two parts that afford an action the first wins.
+    """
 
     name: str
     shape: str
     affords: tuple[str, ...]
     also: tuple[str, ...] = ()
+    map: str | None = None
 
 
 @dataclass(frozen=True)
 class Thing:
-    """An object: `uses` is what it is reached for when it is not named, action -> themes ("*": anything)."""
+    """An object: `uses` is what it is reached for when it is not named, action -> themes ("*": anything).
+
+    `name` is what it is called in the sentence, `key` in knowledge.toml, and `kind` by the network.
+    """
 
     name: str
     also: tuple[str, ...]
     layout: Layout
     parts: tuple[Part, ...]
     uses: Mapping[str, tuple[str, ...]]
+    key: str
+    kind: str
 
     def part_named(self, name: str) -> Part | None:
         """The part of this name or with this other name."""
@@ -163,11 +172,13 @@ def _thing(name: str, row: Mapping[str, Any], table: Mapping[str, Any]) -> Thing
         layout=Layout(**table["layouts"][row.get("layout") or family.get("layout", "bottle")]),
         parts=(*own, *shared),
         uses={action: tuple(names) for action, names in row.get("uses", {}).items()},
+        key=name,
+        kind=row.get("kind") or family.get("kind") or name,
     )
 
 
 def _part(name: str, row: Mapping[str, Any]) -> Part:
-    return Part(name, row["shape"], tuple(row["affords"]), tuple(row.get("also", ())))
+    return Part(name, row["shape"], tuple(row["affords"]), tuple(row.get("also", ())), row.get("map"))
 
 
 def words(text: str) -> list[str]:

@@ -1,15 +1,27 @@
-"""What a phrase asks the detector for: which kind of region, in which kind of object.
+"""What a phrase asks the detector for: which part, of which kind of thing, and which one of several.
 
-wanted("the handle of the screwdriver") -> Wanted(shape="grip", layout=Layout(0.5, 0.45, steel=True))
-wanted("the mug")                       -> Wanted(shape="whole", ...)
-wanted("the frobnicator's handle")      -> Wanted(shape="handle", ...): a handle, whatever it is of
-wanted("cut the bread")                 -> the blade of a knife, as the reasoner would say
+The phrases are those that the reasoner writes and a person may type:
+
+    "the handle of the black mug"      Wanted(part="grip", object="mug", kind="mug", colour="black")
+    "the handle of the left drawer"    Wanted(part="grip", object="drawer", kind="drawer", side="left")
+    "the left handle of the pan"       Wanted(part="grip", object="pan", kind="pan", part_side="left")
+    "the red button of the machine"    Wanted(part="control", part_colour="red")
+    "the blade of the spatula"         Wanted(part="work", object="spatula", kind="turner")
+    "the part that can cut"            Wanted(part="work", action="cut"): of whatever is in the picture
+    "the mug"                          Wanted(part="whole", object="mug", kind="mug")
+    "the handle of the frobnicator"    Wanted(part="grip"): a thing that the knowledge base does not hold
+    "cut the bread"                    as the reasoner answers: the blade of a knife
+
+A phrase is `the [QUALIFIERS] PART of the [QUALIFIERS] OBJECT`. PART is a name in knowledge.toml, or "part that can
+VERB" where nobody named a part; OBJECT is a name in knowledge.toml, or "object" where nobody named a thing. Qualifiers
+are one of COLOURS, SIDES or SIZES each.
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from a4agent.offline.knowledge import Thing, knowledge, stem, words
@@ -18,13 +30,56 @@ from a4agent.offline.understanding import understand
 
 DEFAULT = Layout()
 
+PARTS = ("grip", "work", "body", "inside", "control", "lid", "spout", "whole")
+"""The part maps of the network, and "whole"."""
+
+COLOURS = (
+    "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "black", "white", "grey", "beige",
+    "silver", "gold", "transparent",
+)  # fmt: skip
+SIDES = ("left", "right", "upper", "lower", "middle", "front", "back")
+SIZES = ("small", "large", "long", "short")
+
+_QUALIFIERS = {
+    **{name: ("colour", name) for name in COLOURS},
+    **{name: ("side", name) for name in SIDES},
+    **{name: ("size", name) for name in SIZES},
+    "gray": ("colour", "grey"), "violet": ("colour", "purple"), "golden": ("colour", "gold"),
+    "clear": ("colour", "transparent"), "steel": ("colour", "silver"), "metal": ("colour", "silver"),
+    "cream": ("colour", "beige"), "tan": ("colour", "beige"), "turquoise": ("colour", "blue"),
+    "lefthand": ("side", "left"), "left-hand": ("side", "left"), "leftmost": ("side", "left"),
+    "righthand": ("side", "right"), "right-hand": ("side", "right"), "rightmost": ("side", "right"),
+    "top": ("side", "upper"), "topmost": ("side", "upper"), "uppermost": ("side", "upper"), "higher": ("side", "upper"),
+    "bottom": ("side", "lower"), "lowest": ("side", "lower"), "bottommost": ("side", "lower"),
+    "central": ("side", "middle"), "center": ("side", "middle"), "centre": ("side", "middle"),
+    "nearest": ("side", "front"), "closest": ("side", "front"), "rear": ("side", "back"),
+    "little": ("size", "small"), "tiny": ("size", "small"), "smaller": ("size", "small"), "smallest": ("size", "small"),
+    "big": ("size", "large"), "bigger": ("size", "large"), "biggest": ("size", "large"), "larger": ("size", "large"),
+    "largest": ("size", "large"), "huge": ("size", "large"), "tall": ("size", "long"), "taller": ("size", "long"),
+    "tallest": ("size", "long"), "longer": ("size", "long"), "longest": ("size", "long"),
+    "shorter": ("size", "short"), "shortest": ("size", "short"),
+}  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Wanted:
-    """`shape` is one of SHAPES; `layout` counts for those along the object's axis."""
+    """`part` is one of PARTS; `object` a name in knowledge.toml and `kind` what the network calls such a thing.
+
+    `colour`, `side` and `size` tell things apart, `part_colour` and `part_side` the parts of one thing. `shape` is one
+    of SHAPES and `layout` counts for those along the object's axis.
+    """
 
     shape: str
     layout: Layout = DEFAULT
+    part: str = "whole"
+    object: str | None = None
+    kind: str | None = None
+    colour: str | None = None
+    side: str | None = None
+    size: str | None = None
+    part_colour: str | None = None
+    part_side: str | None = None
+    action: str | None = None
 
 
 SHAPES = (
@@ -53,10 +108,27 @@ _PLACE = re.compile(
 )
 
 
+_PART_MAPS = {
+    "whole": "whole", "grip": "grip", "arm": "grip", "loop": "grip", "bar": "grip", "handle": "grip",
+    "work": "work", "tip": "work", "spout": "spout", "opening": "inside", "spot": "control", "top": "lid",
+    "body": "body", "rim": "body", "middle": "body", "lower": "body", "bottom": "body",
+}  # fmt: skip
+"""The network's part map for each shape, where knowledge.toml names none."""
+
+_THAT_CAN = re.compile(r"^(?:the )?part(?: of (?:the|this|that) (.+?))? (?:that|which) can (?:be )?([a-z-]+)")
+_ACTIONS_OF_MAPS = {
+    "inside": ("contain", "store", "fill"), "control": ("press", "activate", "adjust"), "lid": ("open", "close"),
+    "spout": ("pour",), "grip": ("grasp", "pull", "hang", "turn"), "body": ("wrap-grasp", "push", "wrap"),
+}  # fmt: skip
+
+
 @lru_cache(maxsize=512)
 def wanted(phrase: str) -> Wanted:
     """Read a phrase. What is not understood means the whole object."""
     know = knowledge()
+    generic = _THAT_CAN.match(phrase.strip().lower())
+    if generic:
+        return _for_action(generic[2], know.object_named(generic[1]) if generic[1] else None)
     said = words(phrase)
     objects = know.find_objects(said)
     spoken = re.match(r"(?:the |a |an )?(.+?) of (?:the |a |an |this |that |my )?(.+)$", " ".join(said))
@@ -64,30 +136,63 @@ def wanted(phrase: str) -> Wanted:
         owner = _PLACE.split(spoken[2])[0]  # of "the drawer below the counter" it is the drawer
         named = know.find_objects(words(owner)) or objects
         thing = know.object_named(owner) or (named[-1].value if named else None)
-        return _part(spoken[1], thing)
+        of_part = {f"part_{name}": value for name, value in _qualifiers(words(spoken[1])).items() if name != "size"}
+        return replace(_part(spoken[1], thing), **_qualifiers(words(owner), thing), **of_part)
     content = [word for word in said if word not in {"the", "a", "an", "this", "that", "my"}]
-    if objects and objects[0].end - objects[0].start == len(content):
-        return Wanted("whole", objects[0].value.layout)
-    if stem(content) in _STEMMED:
-        return Wanted(_STEMMED[stem(content)])
+    plain = [word for word in content if word not in _QUALIFIERS]
+    if objects and objects[0].end - objects[0].start == len(plain):
+        thing = objects[0].value
+        return replace(_whole(thing), **_qualifiers(content, thing))
+    if stem(plain) in _STEMMED:
+        shape = _STEMMED[stem(plain)]
+        return Wanted(shape, part=_PART_MAPS[shape])
     decision = understand(phrase)
     if decision.part_name and decision.object_name:
         return _part(decision.part_name, know.object_named(decision.object_name))
     named = next((_STEMMED[stem(word)] for word in reversed(said) if stem(word) in _STEMMED), None)
-    return Wanted(named) if named else Wanted("whole")
+    return Wanted(named, part=_PART_MAPS[named]) if named else Wanted("whole")
+
+
+def _qualifiers(said: Sequence[str], thing: Thing | None = None) -> dict[str, str]:
+    """The first colour, side and size in the words before a name."""
+    name = set(words(thing.name)) if thing else set[str]()
+    found: dict[str, str] = {}
+    for word in said:
+        if word in _QUALIFIERS and word not in name:
+            found.setdefault(*_QUALIFIERS[word])
+    return found
+
+
+def _whole(thing: Thing) -> Wanted:
+    return Wanted("whole", thing.layout, object=thing.key, kind=thing.kind)
+
+
+def _for_action(verb: str, thing: Thing | None) -> Wanted:
+    """The part of a known thing that affords a verb; else the map that such a part is usually on."""
+    actions = knowledge().action_index.get(stem(verb), (verb,))
+    for action in actions if thing else ():
+        part = thing.part_for(action) if thing else None
+        if thing and part:
+            return replace(_part(part.name, thing), action=action)
+    action = actions[0]
+    usual = (name for name, listed in _ACTIONS_OF_MAPS.items() if verb in listed or action in listed)
+    part_map = next(usual, "work")
+    shape = {"grip": "handle", "inside": "opening", "control": "spot", "lid": "top"}.get(part_map, part_map)
+    return Wanted(shape, part=part_map, action=verb)
 
 
 def _part(name: str, thing: Thing | None) -> Wanted:
     """The shape of a part by its name, by the object's own parts first."""
     stems = stem(name)
-    layout = thing.layout if thing else DEFAULT
+    whole = _whole(thing) if thing else Wanted("whole")
     for start in range(len(stems)):  # "the left handle" is a handle
         for part in thing.parts if thing else ():
             if stems[start:] in {stem(known) for known in (part.name, *part.also)}:
-                return Wanted(part.shape, layout)
+                return replace(whole, shape=part.shape, part=part.map or _PART_MAPS[part.shape])
         if stems[start:] in _STEMMED:
-            return Wanted(_STEMMED[stems[start:]], layout)
-    return Wanted("whole", layout)
+            shape = _STEMMED[stems[start:]]
+            return replace(whole, shape=shape, part=_PART_MAPS[shape])
+    return whole
 
 
 @lru_cache(maxsize=1)
