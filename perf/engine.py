@@ -2,6 +2,7 @@
 
     python perf/engine.py                    overlap, overhead, cache (about 55 s)
     python perf/engine.py --memory           and the memory of a run of 100,000 samples (a minute or two more)
+    python perf/engine.py --ray              500 photographs of 1280 x 960 through Ray actors on this machine alone
 
 The experts sleep for the stage times of the published pipeline, divided by `--scale` (paper section 4.1; public
 timings of the models on one H100-class GPU): editor 25 s, Thinker 10 s, prompt writing 3 s, detector 3.5 s,
@@ -126,6 +127,57 @@ def cache(samples: int, scale: float) -> None:
         print(f"  together {made} calls made, {saved} saved")
 
 
+PLUGIN = """
+from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedSegmenter, ScriptedVLM, output
+
+def create(model, role, *, seconds=0.0):
+    if role == "vlm":
+        answer = lambda request: output("the handle") if "### Output" in request.text else "Edit it."
+        return ScriptedVLM(answer, id=f"asleep:{model}", seconds=seconds)
+    kinds = {"editor": ScriptedEditor, "detector": ScriptedDetector, "segmenter": ScriptedSegmenter}
+    return kinds[role](id=f"asleep:{model}", seconds=seconds)
+"""
+"""The sleeping experts as a package of their own: actors are other processes and find it by its entry point."""
+
+
+def on_ray(samples: int, scale: float) -> None:
+    """Whether the process that holds the agent keeps up with the slowest stage when every picture goes to actors."""
+    from a4agent.config import Settings
+    from a4agent.ray_engine import run as run_on_ray
+
+    def asleep(name: str) -> dict[str, Any]:
+        return {"expert": f"asleep:{name}", "seconds": SECONDS[name] / scale}
+
+    with tempfile.TemporaryDirectory() as folder:
+        info = Path(folder) / "asleep-1.0.dist-info"
+        info.mkdir()
+        (Path(folder) / "asleep.py").write_text(PLUGIN)
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: asleep\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text("[a4agent.experts]\nasleep = asleep:create\n")
+        os.environ["PYTHONPATH"] = folder
+        table = {
+            "name": "asleep",
+            "dreamer": {"vlm": asleep("writer"), "editor": asleep("editor")},
+            "thinker": {"vlm": asleep("thinker")},
+            "spotter": {"detector": asleep("detector"), "segmenter": asleep("segmenter")},
+            "ray": {stage: {"num_cpus": 0.25} for stage in ("dreamer", "thinker", "spotter")},
+        }
+        random = np.random.default_rng(0)
+        photographs = (random.integers(0, 255, (960, 1280, 3), np.uint8) for _ in range(samples))
+        many = (Query(str(number), photograph, "open it") for number, photograph in enumerate(photographs))
+        stats, first, ended = Stats(), 0.0, 0
+        for _ in run_on_ray(Settings.model_validate(table), many, stats=stats):
+            first, ended = first or time.perf_counter(), ended + 1
+        wall, cpu = time.perf_counter() - first, time.process_time()
+    assert stats.samples["ok"] == ended == samples, stats.samples
+    editor = next(expert for expert in stats.experts.values() if expert.role == "editor")
+    call, asleep_for = 1000 * editor.seconds / editor.batches, 1000 * SECONDS["editor"] / scale
+    print(f"  {samples} photographs in {wall:.1f} s after the first, {1000 * wall / samples:.0f} ms each")
+    print(f"  wall time / busy time of the editor: {wall / editor.seconds:.3f} (goal 1.05)")
+    print(f"  a call of the editor takes {call:.0f} ms, {call - asleep_for:.0f} more than it sleeps")
+    print(f"  this process used {1000 * cpu / samples:.0f} ms of CPU time a photograph")
+
+
 def memory(samples: int) -> None:
     picture = Image.new("RGB", (64, 48))
     agent = scripted_agent()
@@ -165,7 +217,12 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=200, help="for the overlap and the cache")
     parser.add_argument("--scale", type=float, default=750.0, help="how many times as fast as life the experts sleep")
     parser.add_argument("--memory", action="store_true", help="also run 100,000 samples and watch the memory")
+    parser.add_argument("--ray", action="store_true", help="run 500 photographs through Ray, and nothing else")
     options = parser.parse_args()
+    if options.ray:
+        print("Ray: experts that sleep in an actor for each stage, stage times / 250")
+        on_ray(500, 250.0)
+        return
     if options.memory:
         print("memory: experts that take no time")
         memory(100_000)

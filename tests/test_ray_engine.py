@@ -11,11 +11,10 @@ import logging
 import os
 import signal
 import sys
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,15 +24,14 @@ from PIL import Image
 from a4agent import engine
 from a4agent import ray_engine as engine_ray
 from a4agent.agent import A4Agent
-from a4agent.config import Settings, load_settings
+from a4agent.config import STAGES, Settings, load_settings
 from a4agent.engine import Stats
 from a4agent.errors import BudgetExceeded, ConfigError, CredentialError, UnknownNameError
 from a4agent.experts import registry
-from a4agent.ray_gate import Gate
+from a4agent.protocols import VERBS
 from a4agent.types import Affordance, Given, Query, Target
 
 ray = pytest.importorskip("ray")
-pyarrow = pytest.importorskip("pyarrow")
 
 pytestmark = [
     # Ray's own: it forks, and leaves sockets and files to its exit.
@@ -79,6 +77,11 @@ def create(model, role, *, log=""):
 
     def detect(request):
         note(log, f"{role}:{model}")
+        if model.startswith("dies-once-"):
+            died = pathlib.Path(model.removeprefix("dies-once-"))
+            if not died.exists():
+                died.touch()
+                os._exit(1)
         shift = int(request.phrase.split()[-1])
         return [[shift, 1, shift + 5, 9]]
 
@@ -141,7 +144,7 @@ def settings(tmp_path: Path) -> Settings:
             "segmenter": {"expert": "plugin:s", "log": log},
         },
         "engine": {"retry_wait": 0.01, "cache": "write", "cache_dir": str(tmp_path / "cache")},
-        "ray": {stage: {"num_cpus": 0.25, "batch": 8} for stage in engine_ray.STAGES},
+        "ray": {stage: {"num_cpus": 0.25, "batch": 8} for stage in STAGES},
     }
     return Settings.model_validate(table)
 
@@ -202,35 +205,50 @@ def test_rows_are_the_same_as_the_local_engine_s_and_so_is_the_cache(
     assert set(calls(tmp_path)) <= {"vlm:a", "vlm:b", "editor:e"}  # of the samples that came to nothing
 
 
+class Method:
+    """An actor's method that runs at once, in this process; the reference to its result is a function."""
+
+    def __init__(self, method: Callable[..., Any]) -> None:
+        self._method = method
+
+    def remote(self, *arguments: Any) -> Callable[[], Any]:
+        result = self._method(*arguments)
+        return lambda: result
+
+
+class Handle:
+    def __init__(self, settings: Settings, stage: str) -> None:
+        actor = engine_ray.StageActor(settings, stage)
+        self.about, self.ask = Method(actor.about), Method(actor.ask)
+
+
 class InProcess:
-    """A dataset whose stages run here, in the order of Ray's operators: the logic without the start of actors."""
+    """As much of Ray as the driver uses, without other processes."""
 
-    def __init__(self, settings: Settings, rows: list[Any], pools: dict[str, dict[str, float]], gate: Gate) -> None:
-        self._rows = rows
-        self._batch = int(next(iter(pools.values()))["batch"])
-        self._actors = [
-            engine_ray._Stage(settings.model_dump(mode="json"), stage, None if number else gate)  # type: ignore[arg-type]
-            for number, stage in enumerate(pools)
-        ]
+    exceptions = ray.exceptions
 
-    def iter_batches(self, **_: Any) -> Iterator[Any]:
-        try:
-            for start in reversed(range(0, len(self._rows), self._batch)):
-                table = engine_ray._packed(self._rows[start : start + self._batch])
-                for actor in self._actors:
-                    table = actor(table)
-                yield table
-        finally:
-            for actor in self._actors:
-                if actor._broken is None:
-                    actor._session.close()
+    def remote(self, **_: Any) -> Any:
+        return lambda _: SimpleNamespace(remote=Handle)
+
+    def cluster_resources(self) -> dict[str, float]:
+        return {"CPU": 2.0}
+
+    def wait(self, references: list[Any], **_: Any) -> tuple[list[Any], list[Any]]:
+        return references, []
+
+    def get(self, reference: Callable[[], Any]) -> Any:
+        return reference()
+
+    def is_initialized(self) -> bool:
+        return True
+
+    def kill(self, actor: Handle) -> None: ...
 
 
 @pytest.fixture
 def _in_process(monkeypatch: pytest.MonkeyPatch, _plugin: None) -> None:
-    monkeypatch.setattr(engine_ray, "_dataset", InProcess)
-    monkeypatch.setattr(engine_ray, "_connected", lambda ray, pools: nullcontext())
-    monkeypatch.setattr(engine_ray, "SharedGate", Gate)
+    monkeypatch.setattr(engine_ray, "require", lambda module, extra: InProcess())
+    monkeypatch.setattr(engine_ray, "send_pictures_as_arrays", lambda: None)
 
 
 @pytest.mark.usefixtures("_in_process")
@@ -271,56 +289,6 @@ def test_a_budget_of_money_is_kept(settings: Settings, queries: list[Query]) -> 
     assert 0.1 < sum(answer.trace.cost for answer in done) <= 0.3
 
 
-@pytest.mark.usefixtures("_in_process")
-def test_a_budget_has_room_for_all_actors_once_it_is_known_what_a_sample_costs(
-    settings: Settings, queries: list[Query], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rooms: list[int] = []
-
-    class Told(Gate):
-        def __init__(self, room: int) -> None:
-            rooms.append(room)
-            super().__init__(room)
-
-        def resize(self, room: int) -> None:
-            rooms.append(room)
-            super().resize(room)
-
-    monkeypatch.setattr(engine_ray, "SharedGate", Told)
-    list(engine_ray.run(limited(settings, max_cost=100.0), queries[:9]))
-    assert rooms == [32, 48, 48]  # a batch of 8 for each of three stages and one more; twice what all actors hold
-
-
-@pytest.mark.usefixtures("_in_process")
-def test_no_money_begins_no_sample(settings: Settings, queries: list[Query], tmp_path: Path) -> None:
-    with pytest.raises(BudgetExceeded, match="max_cost = 0 "):
-        next(engine_ray.run(limited(settings, max_cost=0.0), queries))
-    assert calls(tmp_path) == []
-
-
-@pytest.mark.usefixtures("_in_process")
-@pytest.mark.parametrize("limits", [{"max_cost": 0.6}, {"max_seconds": 0.01}])
-def test_a_budget_that_refused_nothing_stops_nothing(
-    settings: Settings, queries: list[Query], limits: dict[str, float]
-) -> None:
-    some = queries if "max_cost" in limits else queries[:8]
-    answers = engine_ray.run(limited(settings, **limits), some)
-    done = [next(answers)]
-    time.sleep(0.5)  # the time is over when the last are given
-    assert len(done + list(answers)) == len(some)
-
-
-@pytest.mark.usefixtures("_in_process")
-def test_a_budget_of_time_begins_no_more(settings: Settings, queries: list[Query]) -> None:
-    answers = engine_ray.run(limited(settings, max_seconds=0.01), queries)
-    next(answers)
-    time.sleep(0.5)
-    done, stopped = until_stopped(answers)
-    assert isinstance(stopped, BudgetExceeded)
-    assert "max_seconds = 0.01" in str(stopped)
-    assert 1 + len(done) == 2  # the first batch that the stub answers is the last one, of two
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 @pytest.mark.usefixtures("_cluster")
 def test_the_first_interrupt_lets_what_was_begun_end(settings: Settings, queries: list[Query], tmp_path: Path) -> None:
@@ -334,14 +302,22 @@ def test_the_first_interrupt_lets_what_was_begun_end(settings: Settings, queries
 
 
 @pytest.mark.usefixtures("_cluster")
-def test_who_stops_early_leaves_no_thread_that_may_ask_ray_after_its_end(
-    settings: Settings, queries: list[Query]
-) -> None:
-    """Ray ends the process of such a thread, or starts another Ray for it."""
-    before = set(threading.enumerate())
+def test_a_run_survives_the_death_of_an_actor(settings: Settings, queries: list[Query], tmp_path: Path) -> None:
+    table = settings.model_dump(mode="json")
+    table["spotter"]["detector"]["expert"] = f"plugin:dies-once-{tmp_path / 'died'}"
+    answers = {query.id: answer for query, answer in engine_ray.run(Settings.model_validate(table), queries[:6])}
+    assert (tmp_path / "died").exists()
+    assert {name: answer.status for name, answer in answers.items()} == {f"q{number}": "ok" for number in range(6)}
+
+
+@pytest.mark.usefixtures("_cluster")
+def test_the_actors_end_with_the_run(settings: Settings, queries: list[Query]) -> None:
     for _ in engine_ray.run(settings, queries):
         break
-    assert {thread.name for thread in set(threading.enumerate()) - before} <= {"Prefetcher"}
+    deadline = time.monotonic() + 20.0
+    while ray.available_resources().get("CPU") != 2.0 and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert ray.available_resources().get("CPU") == 2.0
 
 
 @pytest.mark.usefixtures("_cluster")
@@ -350,6 +326,33 @@ def test_a_refused_key_stops_the_run_with_its_reason(settings: Settings, queries
     table["thinker"]["vlm"]["expert"] = "plugin:locked"
     with pytest.raises(CredentialError, match="the key of this expert is refused"):
         list(engine_ray.run(Settings.model_validate(table), queries))
+
+
+@pytest.mark.usefixtures("_in_process")
+def test_an_expert_shows_one_role_and_as_many_calls_as_its_actors_take(settings: Settings) -> None:
+    with engine_ray.agent_on_ray(
+        settings.model_copy(update={"ray": {"dreamer": {"replicas": 3, "batch": 2}}})
+    ) as agent:
+        assert agent.dreamer is not None
+        editor = agent.dreamer.editor
+        assert [role for role, verb in VERBS.items() if hasattr(editor, verb)] == ["editor"]
+        assert (editor.id, editor.max_batch, editor.concurrency) == ("plugin:e", 1, 3)
+        with agent.from_settings(settings) as local:
+            assert [dict(e.fingerprint()) for e in agent.experts()] == [dict(e.fingerprint()) for e in local.experts()]
+
+
+def test_calls_go_to_the_least_busy_actor_that_has_started() -> None:
+    started: list[str] = ["a"]
+    fake = SimpleNamespace(wait=lambda references, **_: ([r for r in references if r in started], []))
+    actors = engine_ray.Actors(fake, ["A", "B"], {"a": 0, "b": 1})
+    with actors.least_busy("detector", 2) as first, actors.least_busy("detector", 2) as second:
+        assert (first, second) == ("A", "A")
+        started.append("b")
+        with actors.least_busy("detector", 2) as third, actors.least_busy("segmenter", 2) as other:
+            assert (third, other) == ("B", "A")
+    with actors.least_busy("detector", 1) as first, actors.least_busy("detector", 1) as second:
+        assert {first, second} == {"A", "B"}
+        assert actors._free("detector", 1) is None
 
 
 @pytest.mark.usefixtures("_in_process")
@@ -390,7 +393,7 @@ def test_a_cluster_that_is_too_small_is_told_at_once(settings: Settings, queries
 
 def test_the_example_of_a_cluster_fits() -> None:
     example = load_settings(Path(__file__).parents[1] / "examples" / "cluster.toml", environ={})
-    assert {stage: engine_ray.pool_of(example, stage)["replicas"] for stage in engine_ray.STAGES} == {
+    assert {stage: engine_ray.pool_of(example, stage)["replicas"] for stage in STAGES} == {
         "dreamer": 24,
         "thinker": 2,
         "spotter": 4,

@@ -6,7 +6,7 @@ dreamer.imagine  ->  thinker.decide  ->  spotter.locate
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
@@ -16,7 +16,7 @@ import numpy as np
 from a4agent import engine
 from a4agent.errors import A4Error, AnswerError, BudgetExceeded, InputError
 from a4agent.imaging.load import MAX_PIXELS, load_image
-from a4agent.protocols import Expert, Role, Segmenter
+from a4agent.protocols import Expert, Segmenter
 from a4agent.stages.dreamer import Dreamer
 from a4agent.stages.recorder import Recorder
 from a4agent.stages.spotter import Spotter
@@ -26,10 +26,9 @@ from a4agent.types import Affordance, Given, Query, Status
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from a4agent.config import ExpertSettings, Settings
+    from a4agent.config import Settings
 
 StageName = Literal["imagination", "target", "detection", "affordance"]
-STAGES = ("dreamer", "thinker", "spotter")
 OnStage = Callable[[StageName, Any], None]
 
 
@@ -54,33 +53,19 @@ class A4Agent:
         return cls.from_settings(load_settings(profile, overrides))
 
     @classmethod
-    def from_settings(cls, settings: Settings, stages: Collection[str] = STAGES) -> A4Agent:
-        """The agent of settings that are merged already; experts that are the same are built once.
+    def from_settings(cls, settings: Settings, experts: Mapping[str, Expert] | None = None) -> A4Agent:
+        """The agent of merged settings. `experts` maps each role ("thinker.vlm") to a ready expert; None builds them.
 
-        A stage that is not in `stages` gets no experts: on many machines, each process holds some stages.
+        Raises:
+            ConfigError: unknown expert or setting; the message suggests the nearest.
         """
-        from a4agent.config import ExpertSettings
         from a4agent.experts import registry
 
-        built: dict[str, Any] = {}
-
-        def expert(spec: ExpertSettings, role: Role) -> Any:
-            key = f"{role} {spec.model_dump_json()}"
-            if key not in built:
-                inner = registry.inner_experts(spec.expert, spec.settings)
-                shared = {part: expert(ExpertSettings(expert=name, **own), part) for part, (name, own) in inner.items()}
-                built[key] = registry.create(spec.expert, role, {**spec.settings, **shared})
-            return built[key]
-
-        d = settings.dreamer if "dreamer" in stages else None
-        t = settings.thinker if "thinker" in stages else None
-        s = settings.spotter
-        dreamer = d and Dreamer(expert(d.vlm, "vlm"), expert(d.editor, "editor"), d.prompts, d.seed, d.max_tokens)
-        thinker = t and Thinker(expert(t.vlm, "vlm"), t.prompts, t.max_tokens, t.reasks, t.structured)
-        detector = segmenter = None
-        if "spotter" in stages:
-            detector, segmenter = expert(s.detector, "detector"), s.segmenter and expert(s.segmenter, "segmenter")
-        spotter = Spotter(cast(Any, detector), segmenter, s.pairing)
+        built: dict[str, Any] = dict(registry.build(settings.expert_specs()) if experts is None else experts)
+        d, t, s = settings.dreamer, settings.thinker, settings.spotter
+        dreamer = d and Dreamer(built["dreamer.vlm"], built["dreamer.editor"], d.prompts, d.seed, d.max_tokens)
+        thinker = t and Thinker(built["thinker.vlm"], t.prompts, t.max_tokens, t.reasks, t.structured)
+        spotter = Spotter(built["spotter.detector"], built.get("spotter.segmenter"), s.pairing)
         return cls(dreamer, thinker, spotter, settings.image.max_pixels)
 
     def predict(
@@ -91,13 +76,11 @@ class A4Agent:
         given: Given | None = None,
         on_stage: OnStage | None = None,
         on_step: Callable[[int, int], None] | None = None,
-        until: Literal["imagination", "target", "affordance"] = "affordance",
     ) -> Affordance:
         """Where to act for `instruction` in `image` (a path, bytes, PIL image or uint8 RGB array).
 
         What a model does wrong is a status and an error text of the answer. `on_stage` hears each result as
         it comes; `on_step` the editor's progress (done, total). Answers in `given` are not asked for again.
-        Stages after `until` do not run: an agent spread over machines answers one stage at a time.
 
         Raises:
             InputError: the image cannot be read or the instruction is blank.
@@ -117,20 +100,19 @@ class A4Agent:
                 answer = replace(answer, imagination=imagination)
                 tell("imagination", imagination)
             target = given.target
-            if target is None and self.thinker and not found_already and until != "imagination":
+            if target is None and self.thinker and not found_already:
                 target = self.thinker.decide(picture, instruction, imagination, recorder)
             if target is not None:
                 answer = replace(answer, target=target)
                 tell("target", target)
-            if until == "affordance":
-                regions = given.regions
-                if regions is None:
-                    phrase = target.object_part if target else instruction
-                    regions = self.spotter.locate(
-                        picture, phrase, recorder, given.detection, lambda found: tell("detection", found)
-                    )
-                found = any(region.mask.any() for region in regions)
-                answer = replace(answer, regions=regions, status="ok" if found else "empty")
+            regions = given.regions
+            if regions is None:
+                phrase = target.object_part if target else instruction
+                regions = self.spotter.locate(
+                    picture, phrase, recorder, given.detection, lambda found: tell("detection", found)
+                )
+            found = any(region.mask.any() for region in regions)
+            answer = replace(answer, regions=regions, status="ok" if found else "empty")
         except A4Error as error:
             if error.fatal or isinstance(error, BudgetExceeded):
                 raise

@@ -202,7 +202,6 @@ class Agent(Protocol):
         instruction: str,
         *,
         given: Given | None = None,
-        until: Literal["imagination", "target", "affordance"] = "affordance",
     ) -> Affordance:
         """The answer for one image and one instruction."""
         ...

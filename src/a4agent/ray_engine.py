@@ -1,66 +1,41 @@
-"""The same stages on many machines: an actor pool per stage, on Ray Data.
+"""The experts on many machines: a pool of Ray actors for each stage, and everything else as on one machine.
 
-    [ray.dreamer]                    # in a profile: what each stage gets
-    replicas = 12                    # actors, each with experts of its own (default 1)
+    [ray.dreamer]                    # in a profile: what the pool of a stage gets
+    replicas = 12                    # actors, each with its own experts (default 1)
     num_gpus = 1                     # per actor (default 0)
     num_cpus = 2                     # per actor (default 0.5)
-    batch = 8                        # samples an actor takes at once (default 16)
+    batch = 8                        # calls an actor takes at once, if the expert allows them (default 16)
 
-An actor builds the experts of its stage alone, from the settings, and asks them as the local engine does:
-with batches, retries, breakers and the same cache, so the answers are the same. What travels between the stages
-is the query and what is known so far. Nodes need the same package, images that lie where the queries say
-and, if answers are kept, a cache folder they share. Ray is found by RAY_ADDRESS; without one it is started here.
+The agent runs in this process, behind the local engine with its cache, retries, breakers and budget. Each of its
+experts is a `RemoteExpert`, which sends batches of requests to an actor that holds the real one. Nodes need the same
+packages, keys and model files. RAY_ADDRESS names the cluster; without it, Ray is started here.
 """
 
 from __future__ import annotations
 
+import itertools
 import logging
 import os
-import pickle
 import threading
-import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from typing import Any, cast
 
+import numpy as np
+
+from a4agent import engine
 from a4agent.agent import A4Agent
-from a4agent.config import Settings
-from a4agent.engine.pipeline import FINISHING, in_order
-from a4agent.engine.session import Session, Until
-from a4agent.engine.stats import Stats
-from a4agent.engine.stop import Stop
-from a4agent.errors import A4Error, BudgetExceeded, ConfigError, ProviderError, UnknownNameError, nearest, require
-from a4agent.ray_gate import SharedGate
-from a4agent.types import Affordance, Given, Query, Trace
+from a4agent.config import STAGES, Settings
+from a4agent.engine import Stats
+from a4agent.errors import A4Error, ConfigError, ProviderError, ProviderUnavailable, UnknownNameError, nearest, require
+from a4agent.experts import registry
+from a4agent.protocols import VERBS, Request, Role, ask
+from a4agent.types import Affordance, Given, Query
 
-STAGES: dict[str, Until] = {"dreamer": "imagination", "thinker": "target", "spotter": "affordance"}
 DEFAULTS = {"replicas": 1.0, "num_cpus": 0.5, "num_gpus": 0.0, "batch": 16.0}
-THREADS_END = 10.0
-"""Seconds that Ray Data's threads get to end in, before Ray is left to the end of the process."""
-
-log = logging.getLogger("a4agent")
-
-
-@dataclass(frozen=True)
-class _Row:
-    """A sample on its way. `answer` is what the stages so far found, `fatal` why no sample could succeed.
-
-    One that is `skipped` was not begun, because the run had stopped.
-    """
-
-    number: int
-    query: Query
-    given: Given
-    answer: Affordance | None = None
-    fatal: A4Error | None = None
-    skipped: bool = False
-
-    @property
-    def settled(self) -> bool:
-        failed = self.answer is not None and self.answer.status in ("invalid", "error")
-        return self.skipped or self.fatal is not None or failed
+POLL = 0.5
+"""Seconds between two looks at whether further actors have started."""
 
 
 def run(
@@ -71,42 +46,55 @@ def run(
     given: Callable[[Query], Given | None] | None = None,
     stats: Stats | None = None,
 ) -> Iterator[tuple[Query, Affordance]]:
-    """`engine.run` for an agent of these settings, spread over a Ray cluster.
-
-    The queries are read at once, so images should be paths. A run that is to stop begins no more samples and ends
-    when those under way have been given; so does the first Ctrl-C, and a second one is raised at once.
+    """`engine.run` for the agent of these settings, with its experts in Ray actors.
 
     Raises:
         MissingExtraError: ray is not installed.
-        ConfigError: a table [ray.STAGE] that does not fit, or a cluster that cannot be reached or is too small.
+        ConfigError: a table [ray.STAGE] is invalid, or the cluster is unreachable or too small.
         UserError, ProviderError, BudgetExceeded: as `engine.run`.
     """
-    ray: Any = require("ray", extra="ray")
-    pools = {stage: pool_of(settings, stage) for stage in _stages(settings)}
-    rows = [_Row(number, query, (given and given(query)) or Given()) for number, query in enumerate(queries)]
-    if not rows:
+    remaining = iter(queries)
+    first = next(remaining, None)
+    if first is None:
         return
-    room, limits = _Room.of(pools), settings.engine
-    if limits.max_cost == 0:
-        raise _used_up(0.0, Stats(), 0.0, room.least)
-    with _connected(ray, pools), Stop() as stop:
-        gate = SharedGate(room.most if limits.max_cost is None else room.least)  # until it is known what a sample costs
-        with _watched(stop, gate, limits.max_seconds):
-            dataset = _dataset(settings, rows, pools, gate)
-            answers = _answers(dataset, len(rows), gate, room, stop, limits.max_cost, stats or Stats())
-            with closing(answers):
-                for _, query, affordance in in_order(answers) if ordered else answers:
-                    yield query, affordance
-    if stop.reason is not None:
-        raise stop.reason
+    with agent_on_ray(settings) as agent:
+        rest = itertools.chain([first], remaining)
+        yield from engine.run(agent, rest, settings=settings.engine, ordered=ordered, given=given, stats=stats)
+
+
+@contextmanager
+def agent_on_ray(settings: Settings) -> Generator[A4Agent]:
+    """The agent of these settings with its experts in Ray actors, which end with the block.
+
+    Raises:
+        MissingExtraError: ray is not installed.
+        ConfigError: a table [ray.STAGE] is invalid, or the cluster is unreachable or too small.
+        UserError: an expert cannot be built on its node.
+    """
+    ray: Any = require("ray", extra="ray")
+    specs = settings.expert_specs()
+    pools = {stage: pool_of(settings, stage) for stage in STAGES if any(name.startswith(f"{stage}.") for name in specs)}
+    with _connected(ray):
+        send_pictures_as_arrays()
+        _check_size(ray.cluster_resources(), pools)
+        actors = {stage: _start_actors(ray, settings, stage, pool) for stage, pool in pools.items()}
+        try:
+            experts: dict[str, Any] = {}
+            for stage, pool in pools.items():
+                experts |= _remote_experts(ray, actors[stage], int(pool["batch"]))
+            yield A4Agent.from_settings(settings, experts)
+        finally:
+            for actor in itertools.chain.from_iterable(actors.values()):
+                with suppress(Exception):  # Ray may be gone already
+                    ray.kill(actor)
 
 
 def pool_of(settings: Settings, stage: str) -> dict[str, float]:
-    """What an actor pool gets: the table [ray.STAGE] of the settings over the defaults.
+    """What the pool of a stage gets: the table [ray.STAGE] over the defaults.
 
     Raises:
-        UnknownNameError: a table that is no stage, or a key that is none of replicas, num_cpus, num_gpus, batch.
-        ConfigError: no replica, an empty batch, or less than no CPUs or GPUs.
+        UnknownNameError: unknown stage, or a key other than replicas, num_cpus, num_gpus and batch.
+        ConfigError: a value out of range.
     """
     for name in settings.ray:
         if name not in STAGES:
@@ -120,232 +108,199 @@ def pool_of(settings: Settings, stage: str) -> dict[str, float]:
         least, whole = (1, True) if key in ("replicas", "batch") else (0, False)
         if value < least or (whole and value % 1):
             number = "a whole number" if whole else "a number"
-            raise ConfigError(f"the setting 'ray.{stage}.{key}' is {number} of at least {least}, not {value:g}")
+            raise ConfigError(f"the setting 'ray.{stage}.{key}' must be {number} of at least {least}, not {value:g}")
     return pool
+
+
+class RemoteExpert:
+    """Stands in for an expert held by each actor of a pool; asks the one with the fewest calls in flight."""
+
+    def __init__(self, name: str, about: About, actors: Actors, batch: int) -> None:
+        self.id = about.id
+        self.max_batch = about.max_batch
+        self._name = name
+        self._fingerprint = about.fingerprint
+        self._actors = actors
+        self._calls_each = min(max(1, about.concurrency), batch)
+        self.concurrency = self._calls_each * actors.size
+        setattr(self, VERBS[about.role], self._ask)
+
+    def fingerprint(self) -> Mapping[str, Any]:
+        return self._fingerprint
+
+    def close(self) -> None:
+        """The actors end with the run."""
+
+    def _ask(self, requests: Sequence[Request]) -> list[Any]:
+        with self._actors.least_busy(self._name, self._calls_each) as actor:
+            found = self._actors.result(actor.ask.remote(self._name, list(requests)), self.id)
+        if isinstance(found, A4Error):
+            raise found
+        return found
+
+
+class Actors:
+    """The actors of one stage: those that have started, and the calls in flight at each, by expert."""
+
+    def __init__(self, ray: Any, actors: Sequence[Any], starting: Mapping[Any, int]) -> None:
+        self._ray = ray
+        self._actors = actors
+        self._starting = dict(starting)
+        self._in_flight: dict[tuple[str, int], int] = {}
+        self._changed = threading.Condition()
+
+    @property
+    def size(self) -> int:
+        return len(self._actors)
+
+    @contextmanager
+    def least_busy(self, name: str, limit: int) -> Generator[Any]:
+        """Hold one of at most `limit` places for an expert at a started actor, waiting for one to be free."""
+        with self._changed:
+            while (found := self._free(name, limit)) is None:
+                self._changed.wait(POLL)
+            self._in_flight[name, found] = self._in_flight.get((name, found), 0) + 1
+        try:
+            yield self._actors[found]
+        finally:
+            with self._changed:
+                self._in_flight[name, found] -= 1
+                self._changed.notify()
+
+    def result(self, reference: Any, expert: str) -> Any:
+        """What an actor returned.
+
+        Raises:
+            ProviderUnavailable: the actor or its node died; Ray starts another one in its place.
+        """
+        try:
+            return self._ray.get(reference)
+        except self._ray.exceptions.RayError as error:
+            raise ProviderUnavailable(f"the actor of {expert} failed: {str(error).splitlines()[0]}") from error
+
+    def _free(self, name: str, limit: int) -> int | None:
+        if self._starting:
+            started, _ = self._ray.wait(list(self._starting), num_returns=len(self._starting), timeout=0)
+            for reference in started:
+                del self._starting[reference]
+        waiting = set(self._starting.values())
+        free = {k: self._in_flight.get((name, k), 0) for k in range(self.size) if k not in waiting}
+        best = min(free, key=lambda k: free[k], default=None)
+        return best if best is not None and free[best] < limit else None
+
+
+@dataclass(frozen=True)
+class About:
+    """What an actor tells of one of its experts."""
+
+    role: Role
+    id: str
+    max_batch: int
+    concurrency: int
+    fingerprint: Mapping[str, Any]
+
+
+class StageActor:
+    """Runs on a node: the experts of one stage. Errors are returned, which keeps their class."""
+
+    def __init__(self, settings: Settings, stage: str) -> None:
+        specs = settings.expert_specs()
+        send_pictures_as_arrays()
+        self._broken: A4Error | None = None
+        self._experts: dict[str, Any] = {}
+        try:
+            self._experts = registry.build({name: specs[name] for name in specs if name.startswith(f"{stage}.")})
+        except A4Error as error:
+            self._broken = error
+
+    def about(self) -> dict[str, About] | A4Error:
+        """What the driver needs to know of each expert; the error that kept them from being built."""
+        return self._broken or {
+            name: About(
+                cast(Role, name.rpartition(".")[2]),
+                expert.id,
+                expert.max_batch,
+                expert.concurrency,
+                dict(expert.fingerprint()),
+            )
+            for name, expert in self._experts.items()
+        }
+
+    def ask(self, name: str, requests: list[Request]) -> list[Any] | A4Error:
+        """The expert's answers, or the error that concerns all of these requests."""
+        if self._broken is not None:
+            return self._broken
+        try:
+            return ask(self._experts[name], requests)
+        except A4Error as error:
+            return error
+        except Exception as error:
+            return ProviderError(f"{self._experts[name].id} failed: {error!r}")
+
+
+def _start_actors(ray: Any, settings: Settings, stage: str, pool: Mapping[str, float]) -> list[Any]:
+    roles = sum(name.startswith(f"{stage}.") for name in settings.expert_specs())
+    actor = ray.remote(
+        num_cpus=pool["num_cpus"],
+        num_gpus=pool["num_gpus"],
+        max_restarts=-1,
+        max_concurrency=int(pool["batch"]) * roles,
+    )(StageActor)
+    return [actor.remote(settings, stage) for _ in range(int(pool["replicas"]))]
+
+
+def _remote_experts(ray: Any, handles: list[Any], batch: int) -> dict[str, RemoteExpert]:
+    """The experts of a stage, once its first actor has started."""
+    starting = {handle.about.remote(): number for number, handle in enumerate(handles)}
+    started, _ = ray.wait(list(starting), num_returns=1)
+    actors = Actors(ray, handles, starting)
+    told = actors.result(started[0], "a stage")
+    if isinstance(told, A4Error):
+        raise told
+    return {name: RemoteExpert(name, about, actors, batch) for name, about in told.items()}
+
+
+def send_pictures_as_arrays() -> None:
+    """Let this process hand pictures to Ray as arrays, which travel through shared memory: five times as fast."""
+    from PIL import Image
+
+    def to_array(picture: Image.Image) -> np.ndarray:
+        return np.asarray(picture if picture.mode in ("L", "RGB", "RGBA") else picture.convert("RGB"))
+
+    util: Any = require("ray.util", extra="ray")
+    util.register_serializer(Image.Image, serializer=to_array, deserializer=Image.fromarray)
+
+
+@contextmanager
+def _connected(ray: Any) -> Generator[None]:
+    """Use the Ray that is running, or start one and shut it down again."""
+    started_here = not ray.is_initialized()
+    if started_here:
+        try:
+            ray.init(include_dashboard=False, logging_level=logging.ERROR)
+        except (ConnectionError, ValueError, RuntimeError) as error:
+            where = os.environ.get("RAY_ADDRESS")
+            hint = f"is a cluster running at RAY_ADDRESS = {where!r}?" if where else "try `ray start --head`"
+            raise ConfigError(f"cannot reach Ray: {error}; {hint}") from error
+    try:
+        yield
+    finally:
+        if started_here:
+            ray.shutdown()
+
+
+def _check_size(found: Mapping[str, float], pools: Mapping[str, Mapping[str, float]]) -> None:
+    """Check that there is room for an actor of each stage: Ray would wait for a node forever."""
+    for resource, key in (("CPU", "num_cpus"), ("GPU", "num_gpus")):
+        needed, there = sum(pool[key] for pool in pools.values()), found.get(resource, 0.0)
+        if needed > there:
+            settings = ", ".join(f"ray.{stage}.{key}" for stage in pools)
+            raise ConfigError(
+                f"an actor for each of {', '.join(pools)} takes {needed:g} {resource}s, and Ray has {there:g};"
+                f" add nodes, or lower {settings}"
+            )
 
 
 def _unknown(setting: str, name: str, known: Iterable[str]) -> str:
     near = nearest(name, known)
     return f"unknown setting {setting!r}; " + (f"did you mean {near!r}?" if near else f"known: {', '.join(known)}.")
-
-
-def _stages(settings: Settings) -> list[str]:
-    return [stage for stage in STAGES if getattr(settings, stage) is not None]
-
-
-@contextmanager
-def _connected(ray: Any, pools: dict[str, dict[str, float]]) -> Generator[None]:
-    """Use the Ray that is there, or start one and shut it down again.
-
-    Ray Data's threads outlive what is read from it. One that asks Ray for something after the shutdown starts another
-    Ray, or ends this process without a word (ray 2.60). So they are waited for; whoever connected may shut down next.
-    """
-    started_here = _start(ray)
-    before = set(threading.enumerate())
-    try:
-        _check_size(ray.cluster_resources(), pools)
-        yield
-    finally:
-        if _ended(set(threading.enumerate()) - before) and started_here:
-            ray.shutdown()
-
-
-def _check_size(there: dict[str, float], pools: dict[str, dict[str, float]]) -> None:
-    """Ray waits for ever for what no node has, so see that there is room for an actor of each stage."""
-    for resource, key in (("CPU", "num_cpus"), ("GPU", "num_gpus")):
-        needed, found = sum(pool[key] for pool in pools.values()), there.get(resource, 0.0)
-        if needed > found:
-            settings = ", ".join(f"ray.{stage}.{key}" for stage in pools)
-            raise ConfigError(
-                f"an actor for each of {', '.join(pools)} takes {needed:g} {resource}s, and Ray has {found:g}; add"
-                f" nodes, or lower {settings}"
-            )
-
-
-def _ended(threads: set[threading.Thread]) -> bool:
-    """Wait for threads that nobody waits for at exit; whether they ended."""
-    deadline = time.monotonic() + THREADS_END
-    for thread in threads - {threading.current_thread()}:
-        if thread.daemon and thread.name != "Prefetcher":  # that one idles for ever, and asks nothing
-            thread.join(max(deadline - time.monotonic(), 0.0))
-            if thread.is_alive():
-                return False
-    return True
-
-
-def _start(ray: Any) -> bool:
-    """Connect to Ray or start it; returns whether it was started here."""
-    if ray.is_initialized():
-        return False
-    try:
-        ray.init(include_dashboard=False, logging_level=logging.ERROR)
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        where = os.environ.get("RAY_ADDRESS")
-        hint = f"is a cluster running at RAY_ADDRESS = {where!r}?" if where else "`ray start --head` says more"
-        raise ConfigError(f"Ray cannot be reached: {error}; {hint}") from error
-    return True
-
-
-@dataclass(frozen=True)
-class _Room:
-    """How many samples are under way: `most` is what all actors work on and as much again that waits.
-
-    A stage waits until its batch is full, so with less than `least`, a batch for each, nothing may move.
-    """
-
-    least: int
-    most: int
-
-    @classmethod
-    def of(cls, pools: dict[str, dict[str, float]]) -> _Room:
-        batches = [int(pool["batch"]) for pool in pools.values()]
-        return cls(sum(batches) + batches[0], 2 * sum(int(pool["replicas"] * pool["batch"]) for pool in pools.values()))
-
-
-@contextmanager
-def _watched(stop: Stop, gate: SharedGate, max_seconds: float | None) -> Generator[None]:
-    """Close the gate as soon as there is a reason to stop; the time being over is one."""
-    over, started = threading.Event(), time.monotonic()
-
-    def watch() -> None:
-        closed = told = False
-        while not over.wait(0.2):
-            if max_seconds is not None and time.monotonic() - started >= max_seconds:
-                stop.because(
-                    BudgetExceeded(f"the budget of engine.max_seconds = {max_seconds:g} is used up; run again to go on")
-                )
-            if stop.reason is not None and not closed:
-                closed = True
-                with suppress(Exception):  # Ray is gone: who waits for the answers will meet that, and tell
-                    gate.close()
-            if stop.interrupted and not told:
-                told = True
-                log.warning(FINISHING)
-
-    watcher = threading.Thread(target=watch, name="a4 ray", daemon=True)
-    watcher.start()
-    try:
-        yield
-    finally:
-        over.set()
-        watcher.join()
-
-
-def _dataset(settings: Settings, rows: list[_Row], pools: dict[str, dict[str, float]], gate: SharedGate) -> Any:
-    data: Any = require("ray.data", extra="ray")
-    data.DataContext.get_current().enable_progress_bars = False
-    logging.getLogger("ray.data").setLevel(logging.ERROR)
-    first = int(next(iter(pools.values()))["batch"])
-    items = [{"row": pickle.dumps(row)} for row in rows]
-    # An actor hands on nothing before it is through with a block, so a block holds no more than a batch.
-    dataset = data.from_items(items, override_num_blocks=-(-len(items) // first))
-    for number, (stage, pool) in enumerate(pools.items()):
-        dataset = dataset.map_batches(
-            _Stage,
-            fn_constructor_args=(settings.model_dump(mode="json"), stage, None if number else gate),
-            batch_size=int(pool["batch"]) if number else None,  # None: a block as it is
-            batch_format="pyarrow",
-            compute=data.ActorPoolStrategy(size=int(pool["replicas"])),
-            num_cpus=pool["num_cpus"],
-            num_gpus=pool["num_gpus"] or None,
-        )
-    return dataset
-
-
-def _packed(rows: Sequence[_Row]) -> Any:
-    arrow: Any = require("pyarrow", extra="ray")
-    return arrow.table({"row": arrow.array([pickle.dumps(row) for row in rows], arrow.large_binary())})
-
-
-def _unpacked(table: Any) -> list[_Row]:
-    return [pickle.loads(packed) for packed in table["row"].to_pylist()]
-
-
-def _answers(
-    dataset: Any, missing: int, gate: SharedGate, room: _Room, stop: Stop, max_cost: float | None, stats: Stats
-) -> Generator[tuple[int, Query, Affordance]]:
-    """What comes out of the last stage: all answers, or those under way when there is a reason to stop."""
-    dearest = 0.0
-    try:
-        for table in dataset.iter_batches(batch_size=None, prefetch_batches=0, batch_format="pyarrow"):
-            rows = _unpacked(table)
-            for row in rows:
-                if row.fatal is not None:
-                    stop.because(row.fatal)
-                elif not row.skipped:
-                    affordance = cast(Affordance, row.answer)
-                    stats.count_sample(affordance)
-                    stats.count_trace(affordance.trace)
-                    missing, dearest = missing - 1, max(dearest, affordance.trace.cost)
-                    yield row.number, row.query, affordance
-            gate.leave([row.number for row in rows])
-            if max_cost is not None:
-                affordable = int((max_cost - stats.cost) / dearest) if dearest else room.most
-                if affordable < min(room.least, missing):
-                    stop.because(_used_up(max_cost, stats, dearest, room.least))
-                gate.resize(min(affordable, room.most))
-            if stop.reason is not None and gate.close() == 0:
-                break
-    except A4Error:
-        raise
-    except Exception as error:  # Ray has several trees of its own
-        raise ProviderError(f"Ray stopped the run: {error}; what was answered stays, run again to go on") from error
-    if not missing and isinstance(stop.reason, BudgetExceeded):
-        stop.reason = None  # it was refused nothing
-
-
-def _used_up(max_cost: float, stats: Stats, dearest: float, least: int) -> BudgetExceeded:
-    return BudgetExceeded(
-        f"the budget of engine.max_cost = {max_cost:g} dollars is used up: {stats.cost:.4f} spent on"
-        f" {stats.samples.total()} samples, and the {least} that fill the batches may cost {dearest:.4f} each;"
-        " raise it and run again to go on"
-    )
-
-
-class _Stage:
-    """An actor: the experts of one stage behind the local engine's queues. The first stage has the gate."""
-
-    def __init__(self, settings: dict[str, Any], stage: str, gate: SharedGate | None = None) -> None:
-        self._until: Until = STAGES[stage]
-        self._gate = gate
-        self._broken: A4Error | None = None
-        try:
-            merged = Settings.model_validate(settings)
-            limits = merged.engine.model_copy(update={"max_cost": None, "max_seconds": None})
-            self._session = Session(A4Agent.from_settings(merged, stages=[stage]), limits)
-        except A4Error as error:
-            self._broken = error
-
-    def __call__(self, batch: Any) -> Any:
-        rows = _unpacked(batch)
-        if self._broken is not None:
-            rows = [replace(row, fatal=row.fatal or self._broken) for row in rows]
-        elif self._let_in(rows):
-            with ThreadPoolExecutor(min(len(rows), self._session.in_flight)) as threads:
-                rows = list(threads.map(self._advance, rows))
-        else:
-            rows = [replace(row, skipped=True) for row in rows]
-        return _packed(rows)
-
-    def _let_in(self, rows: list[_Row]) -> bool:
-        if self._gate is None:
-            return True
-        while (answer := self._gate.enter([row.number for row in rows])) is None:
-            time.sleep(0.1)
-        return answer
-
-    def _advance(self, row: _Row) -> _Row:
-        if row.settled:
-            return row
-        known, given = row.answer, row.given
-        if known is not None:
-            given = replace(given, imagination=known.imagination, target=known.target)
-        try:
-            answer = self._session.predict(row.query, given, self._until)
-        except A4Error as error:
-            return replace(row, fatal=error)
-        if known is not None:
-            answer = replace(answer, trace=Trace(known.trace.steps + answer.trace.steps))
-        if self._until != "affordance" and answer.status == "ok":
-            answer = replace(answer, image=None)  # the next stage reads the picture itself
-        return replace(row, answer=answer)

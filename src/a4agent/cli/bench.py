@@ -59,7 +59,8 @@ def bench(
         float | None, typer.Option(help="Give a sample up after this long; it is an error, the run goes on.")
     ] = None,
     engine: Annotated[
-        Literal["local", "ray"], typer.Option(help="local: threads here. ray: Ray Data, on one machine or many.")
+        Literal["local", "ray"],
+        typer.Option(help="local: experts in this process. ray: experts in Ray actors, on one machine or many."),
     ] = "local",
     as_json: Annotated[bool, typer.Option("--json", help="Print the scores as JSON.")] = False,
 ) -> None:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import replace
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 from a4agent.config import EngineSettings
 from a4agent.engine.cache import Cache, default_folder
@@ -38,8 +38,6 @@ from a4agent.protocols import (
 from a4agent.types import Affordance, Detection, Given, Query
 
 MOST_IN_FLIGHT = 128
-
-Until = Literal["imagination", "target", "affordance"]
 
 
 class _Sample(threading.local):
@@ -70,7 +68,7 @@ class Session:
         if settings.max_sample_seconds is not None:
             threading.Thread(target=self._watch, args=(settings.max_sample_seconds,), daemon=True).start()
 
-    def predict(self, query: Query, given: Given | None = None, until: Until = "affordance") -> Affordance:
+    def predict(self, query: Query, given: Given | None = None) -> Affordance:
         """The answer to a query; whatever is wrong with this sample alone is a status and an error text.
 
         Raises:
@@ -79,7 +77,7 @@ class Session:
         self.sample.seconds_left = self.settings.max_sample_seconds
         self.sample.chats = ()
         try:
-            answer = self._agent.predict(query.image, query.instruction, given=given, until=until)
+            answer = self._agent.predict(query.image, query.instruction, given=given)
         except Exception as error:
             if isinstance(error, A4Error) and (error.fatal or isinstance(error, BudgetExceeded)):
                 raise

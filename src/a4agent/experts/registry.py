@@ -18,8 +18,9 @@ import sys
 from collections.abc import Callable, Mapping
 from numbers import Integral, Real
 from types import NoneType, UnionType
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 
+from a4agent.config import ExpertSettings
 from a4agent.errors import ConfigError, UnknownNameError
 from a4agent.plugins import Plugins
 from a4agent.plugins import keywords_of as settings_of
@@ -110,6 +111,26 @@ def create(spec: str, role: Role, settings: Mapping[str, Any] | None = None) -> 
     if not callable(getattr(expert, VERBS[role], None)):
         raise ConfigError(f"{spec!r} cannot be the {role}: it has no method {VERBS[role]!r}")
     return expert
+
+
+def build(specs: Mapping[str, ExpertSettings]) -> dict[str, Expert]:
+    """Build the experts of `specs` ({"spotter.detector": ...}); those with equal settings are built once.
+
+    Raises:
+        UnknownNameError: an unknown provider or setting; the message suggests the nearest.
+        ConfigError: an expert cannot play its role, or a setting has a value it does not take.
+    """
+    built: dict[tuple[Role, str], Expert] = {}
+
+    def one(spec: ExpertSettings, role: Role) -> Expert:
+        key = role, spec.model_dump_json()
+        if key not in built:
+            inner = inner_experts(spec.expert, spec.settings)
+            shared = {part: one(ExpertSettings(expert=name, **own), part) for part, (name, own) in inner.items()}
+            built[key] = create(spec.expert, role, {**spec.settings, **shared})
+        return built[key]
+
+    return {name: one(spec, cast(Role, name.rpartition(".")[2])) for name, spec in specs.items()}
 
 
 def _check_values(spec: str, factory: Factory, settings: Mapping[str, Any]) -> None:
