@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 
 from a4agent import Affordance, Imagination, Region, Target, Trace
 from a4agent.errors import DataError
-from a4agent.types import Step
+from a4agent.types import SCHEMA, Check, Step
 
 masks = arrays(bool, (7, 5))
 boxes = st.none() | arrays(np.float32, 4, elements=st.floats(0, 100, width=16))
@@ -80,10 +80,25 @@ def test_cached_steps_cost_nothing() -> None:
     assert Trace((spent, saved)).cost == 0.25
 
 
-@pytest.mark.parametrize("data", [{}, {"schema": 99}, {"schema": 1}, {"schema": 1, "size_wh": "ab"}, [], None])
+@pytest.mark.parametrize("data", [{}, {"schema": SCHEMA}, {"schema": SCHEMA, "size_wh": "ab"}, [], None])
 def test_what_is_not_an_affordance_is_refused(data: Any) -> None:
     with pytest.raises(DataError):
         Affordance.from_dict(data)
+
+
+@pytest.mark.parametrize("schema", [SCHEMA - 1, SCHEMA + 1, None, "2"])
+def test_another_schema_is_refused_by_its_number(schema: Any) -> None:
+    data = {**Affordance("x", (5, 7)).to_dict(), "schema": schema}
+    with pytest.raises(DataError, match=f"schema {schema!r}"):
+        Affordance.from_dict(data)
+
+
+def test_confidence_checks_and_origin_survive_json() -> None:
+    checks = (Check("right_part", 0.25, "the mask covers the lid", blame="thinker"), Check("mirror", None, "not asked"))
+    answer = Affordance("x", (5, 7), status="abstained", confidence=0.34, checks=checks, profile="offline")
+    again = Affordance.from_dict(json.loads(json.dumps(answer.to_dict())))
+    assert (again.status, again.confidence, again.checks, again.profile) == ("abstained", 0.34, checks, "offline")
+    assert again.summary == "unsure (0.34): x"
 
 
 def test_masks_of_another_size_than_the_image_are_refused() -> None:

@@ -27,7 +27,7 @@ PROFILES = Path(__file__).parent / "profiles"
 FILE = "a4.toml"
 PREFIX = "A4_"
 OTHER_VARIABLES = frozenset({"A4_CACHE_DIR", "A4_SERVER_TOKEN"})
-STAGES = ("dreamer", "thinker", "spotter")
+STAGES = ("dreamer", "thinker", "spotter", "verifier")
 AN_EXPERT = "an expert is written 'provider:model' (such as 'sam2:tiny')"
 OFF = ("off", "none", False)
 
@@ -71,6 +71,7 @@ class DreamerSettings(Table):
     prompts: str = "paper"
     seed: int = 0
     max_tokens: int = Field(default=512, gt=0)
+    required: bool = False
 
 
 class ThinkerSettings(Table):
@@ -85,6 +86,20 @@ class SpotterSettings(Table):
     detector: ExpertSettings
     segmenter: ExpertSettings | None = None
     pairing: Literal["optimal", "paper", "inside"] = "optimal"
+
+
+class VerifierSettings(Table):
+    """What is looked at after the Spotter, and by which experts; see `a4agent.stages.verifier`."""
+
+    signals: list[str] = ["geometry"]
+    accept: float = Field(default=0.5, ge=0, le=1)
+    retries: int = Field(default=2, ge=0, le=5)
+    calibration: str | None = None
+    vlm: ExpertSettings | None = None
+    detector: ExpertSettings | None = None
+    segmenter: ExpertSettings | None = None
+    prompts: str = "verifier"
+    max_tokens: int = Field(default=1024, gt=0)
 
 
 class ImageSettings(Table):
@@ -125,6 +140,7 @@ class Settings(Table):
     dreamer: DreamerSettings | None = None
     thinker: ThinkerSettings | None = None
     spotter: SpotterSettings
+    verifier: VerifierSettings | None = None
     image: ImageSettings = ImageSettings()
     engine: EngineSettings = EngineSettings()
     ray: dict[str, dict[str, float]] = {}
@@ -239,7 +255,8 @@ def _variable_names() -> set[str]:
 
 def _expert_variables() -> list[str]:
     roles = ("DREAMER__VLM", "DREAMER__EDITOR", "THINKER__VLM", "SPOTTER__DETECTOR", "SPOTTER__SEGMENTER")
-    return [f"{PREFIX}{role}" for role in roles]
+    seconds = ("VERIFIER__VLM", "VERIFIER__DETECTOR", "VERIFIER__SEGMENTER")
+    return [f"{PREFIX}{role}" for role in roles + seconds]
 
 
 def _table_of(annotation: Any) -> type[BaseModel] | None:
@@ -305,7 +322,7 @@ def _explained(error: ValidationError, profile: str, layers: Mapping[str, dict[s
     if first["type"] == "value_error":
         return ConfigError(f"setting {name!r}{where}: {first['msg'].removeprefix('Value error, ')}")
     if first["type"] in ("model_type", "model_attributes_type"):
-        off = " or 'off'" if name in ("dreamer", "thinker") else ""
+        off = " or 'off'" if name in ("dreamer", "thinker", "verifier") else ""
         return ConfigError(f"setting {name!r}{where} takes a table of settings{off}, not {first['input']!r}")
     return ConfigError(f"setting {name!r}{where}: {first['msg']}, not {first['input']!r}")
 

@@ -7,6 +7,7 @@
         target=Target(task="drink from the mug", object_name="mug", object_part="the handle of the mug"),
         regions=(Region(box_xyxy=[402, 180, 471, 322], points_xy=[[440, 251]], mask=..., score=0.93),),
         status="ok",
+        confidence=0.91,                                    # how likely the mask is right; None without a Verifier
     )
 
 Coordinates are pixels of the original image, x to the right, y down, from the top left corner; boxes
@@ -32,11 +33,11 @@ from a4agent.imaging.save import write_answer
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-Status = Literal["ok", "empty", "invalid", "error"]
-"""ok: a mask was found; empty: looked and found nothing; invalid: a model's answer could not be used;
-error: a stage failed."""
+Status = Literal["ok", "abstained", "empty", "invalid", "error"]
+"""ok: a mask was found and, if there is a Verifier, accepted; abstained: the mask is a guess whose confidence is below
+`verifier.accept`; empty: nothing was found; invalid: a model's answer was unusable; error: a stage failed."""
 
-SCHEMA = 1
+SCHEMA = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +56,20 @@ class Target:
     object_name: str
     object_part: str
     thinking: str = ""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that the Verifier looked at.
+
+    `value` is 0 (bad) to 1 (good), None where it could not be measured; `note` is a sentence for people. `blame` is the
+    stage to ask again ("dreamer", "thinker" or "spotter") when the value is low, "" if it points at none.
+    """
+
+    name: str
+    value: float | None
+    note: str
+    blame: str = ""
 
 
 @dataclass(frozen=True)
@@ -84,8 +99,9 @@ def no_points() -> np.ndarray:
 class Detection:
     """`boxes_xyxy` (n, 4) float32, `points_xy` (m, 2) float32, `scores` (n,) float32 or None.
 
-    As the model gave them: not clipped, not ordered, not paired. `points_derived` says that the points
-    were computed from the boxes. `masks` (n, H, W) bool only from models that segment as they detect.
+    As the model gave them: not clipped, not ordered, not paired. `points_derived` is true when the points were
+    computed from the boxes: they tell a segmenter nothing new, and the centre of a ring is a hole.
+    `masks` (n, H, W) bool only from models that segment as they detect.
     """
 
     boxes_xyxy: np.ndarray = field(default_factory=no_boxes)
@@ -99,12 +115,17 @@ class Detection:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Where: one part. `box_xyxy` (4,) float32 or None, `points_xy` (k, 2) float32, `mask` (H, W) bool."""
+    """Where: one part. `box_xyxy` (4,) float32 or None, `points_xy` (k, 2) float32, `mask` (H, W) bool.
+
+    `score` is the detector's, or the segmenter's where the detector has none. `predicted_iou` is what the segmenter
+    expects its mask to reach, None without a segmenter.
+    """
 
     box_xyxy: np.ndarray | None
     points_xy: np.ndarray
     mask: np.ndarray
     score: float | None = None
+    predicted_iou: float | None = None
 
     @property
     def tight_box_xyxy(self) -> np.ndarray | None:
@@ -183,6 +204,8 @@ class Affordance:
 
     `size_wh` is (width, height) of the image in pixels; `image` is that picture, upright and RGB, kept
     for drawing (None when the value was read back from a file); `id` is the query's, where there was one.
+    `confidence` is the probability (0 to 1) that the mask is right, by the Verifier's `checks`; None without one.
+    `image_path`, `profile` and `version` (of this package) say where the answer came from, where that is known.
     """
 
     instruction: str
@@ -195,6 +218,11 @@ class Affordance:
     trace: Trace = field(default_factory=Trace)
     image: Image | None = field(default=None, repr=False)
     id: str = ""
+    confidence: float | None = None
+    checks: tuple[Check, ...] = ()
+    image_path: str | None = None
+    profile: str | None = None
+    version: str | None = None
 
     @property
     def mask(self) -> np.ndarray:
@@ -227,8 +255,13 @@ class Affordance:
             "id": self.id,
             "instruction": self.instruction,
             "size_wh": list(self.size_wh),
+            "image_path": self.image_path,
+            "profile": self.profile,
+            "version": self.version,
             "status": self.status,
             "error": self.error,
+            "confidence": self.confidence,
+            "checks": [asdict(check) for check in self.checks],
             "target": asdict(self.target) if self.target else None,
             "imagination": {"prompt": self.imagination.prompt} if self.imagination else None,
             "boxes_xyxy": _floats(self.boxes_xyxy),
@@ -240,6 +273,7 @@ class Affordance:
                     "points_xy": _floats(region.points_xy),
                     "mask": encode_rle(region.mask),
                     "score": region.score,
+                    "predicted_iou": region.predicted_iou,
                 }
                 for region in self.regions
             ],
@@ -273,6 +307,11 @@ class Affordance:
                 error=data["error"],
                 trace=Trace(tuple(Step(**step) for step in data["trace"])),
                 id=data.get("id", ""),
+                confidence=data["confidence"],
+                checks=tuple(Check(**check) for check in data["checks"]),
+                image_path=data.get("image_path"),
+                profile=data.get("profile"),
+                version=data.get("version"),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"not an affordance as this package writes it: {error!r}") from error
@@ -287,6 +326,8 @@ class Affordance:
         """One line for people: the part, or why there is none."""
         if self.status == "ok":
             return self.phrase
+        if self.status == "abstained":
+            return f"unsure ({self.confidence:.2f}): {self.phrase}"
         if self.status == "empty":
             return f"not found: {self.phrase}"
         return f"{self.status}: {self.error or self.phrase}"
@@ -348,4 +389,5 @@ def _region(row: Mapping[str, Any]) -> Region:
         points_xy=np.array(row["points_xy"], np.float32).reshape(-1, 2),
         mask=decode_rle(row["mask"]),
         score=row["score"],
+        predicted_iou=row["predicted_iou"],
     )

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 PICTURE_SIDE = 768
 SCORED = ("id", "status", "intersection", "union", "truth_pixels", "prediction_pixels", "category", "resized")
 """The fields that a writer keeps in memory; masks and traces stay on the disk."""
-STATUSES: tuple[Status, ...] = ("ok", "empty", "invalid", "error")
+STATUSES: tuple[Status, ...] = ("ok", "abstained", "empty", "invalid", "error")
 
 
 @dataclass(frozen=True, eq=False)

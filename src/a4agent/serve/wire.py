@@ -52,6 +52,16 @@ class RegionOut(BaseModel):
     points_xy: list[tuple[float, float]]
     mask: RleMask | PngMask | None
     score: float | None
+    predicted_iou: float | None
+
+
+class CheckOut(BaseModel):
+    """One thing that the Verifier looked at: 0 is bad, 1 is good, null could not be measured."""
+
+    name: str
+    value: float | None
+    note: str
+    blame: str
 
 
 class StepOut(BaseModel):
@@ -72,8 +82,13 @@ class AffordanceOut(BaseModel):
     id: str
     instruction: str
     size_wh: tuple[int, int]
-    status: Literal["ok", "empty", "invalid", "error"]
+    image_path: str | None = Field(description="where the caller had the picture, if that is known")
+    profile: str | None
+    version: str | None = Field(description="of a4agent")
+    status: Literal["ok", "abstained", "empty", "invalid", "error"]
     error: str | None
+    confidence: float | None = Field(description="probability that the mask is right; null without a Verifier")
+    checks: list[CheckOut]
     target: TargetOut | None
     imagination: ImaginationOut | None
     boxes_xyxy: list[tuple[float, float, float, float]]
@@ -106,8 +121,9 @@ def to_wire(affordance: Affordance, mask: MaskForm = "rle", imagination: Picture
     """`affordance.to_dict()` with its masks in the form that was asked for, and the imagined picture if it was."""
     data = affordance.to_dict()
     for region in data["regions"]:
-        if region["score"] is not None and not math.isfinite(region["score"]):
-            region["score"] = None
+        for name in ("score", "predicted_iou"):
+            if region[name] is not None and not math.isfinite(region[name]):
+                region[name] = None
     if mask != "rle":
         for holder in (data, *data["regions"]):
             holder["mask"] = png_mask(decode_rle(holder["mask"])) if mask == "png" else None
