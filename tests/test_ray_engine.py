@@ -277,7 +277,7 @@ def interrupted(answers: Iterator[tuple[Query, Affordance]]) -> Iterator[tuple[Q
     yield from answers
 
 
-def limited(settings: Settings, **limits: float) -> Settings:
+def limited(settings: Settings, **limits: Any) -> Settings:
     return settings.model_copy(update={"engine": settings.engine.model_copy(update=limits)})
 
 
@@ -292,8 +292,7 @@ def test_a_budget_of_money_is_kept(settings: Settings, queries: list[Query]) -> 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 @pytest.mark.usefixtures("_cluster")
 def test_the_first_interrupt_lets_what_was_begun_end(settings: Settings, queries: list[Query], tmp_path: Path) -> None:
-    settings = settings.model_copy(update={"ray": {stage: {"num_cpus": 0.25, "batch": 2} for stage in settings.ray}})
-    done, stopped = until_stopped(interrupted(engine_ray.run(settings, queries)))
+    done, stopped = until_stopped(interrupted(engine_ray.run(limited(settings, in_flight=4), queries)))
     assert isinstance(stopped, KeyboardInterrupt)
     assert len(done) < len(queries)
     asked = calls(tmp_path)

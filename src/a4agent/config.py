@@ -17,11 +17,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_serializer, model_validator
 
 from a4agent.errors import ConfigError, UnknownNameError, nearest
 from a4agent.files import read_toml, toml
 from a4agent.imaging.load import MAX_PIXELS
+from a4agent.redaction import conceal, redact
 
 PROFILES = Path(__file__).parent / "profiles"
 FILE = "a4.toml"
@@ -48,6 +49,7 @@ class ExpertSettings(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _from_text(cls, value: Any) -> Any:
+        value = conceal(value)
         if not isinstance(value, (str, Mapping, ExpertSettings)):
             raise ValueError(f"{AN_EXPERT}, not {value!r}")
         return {"expert": value} if isinstance(value, str) else cast("Any", value)
@@ -59,9 +61,13 @@ class ExpertSettings(BaseModel):
             raise ValueError(f"{AN_EXPERT}, not {value!r}")
         return value
 
+    @model_serializer
+    def _without_secrets(self) -> dict[str, Any]:
+        return redact({"expert": self.expert, **self.settings})
+
     @property
     def settings(self) -> dict[str, Any]:
-        """The expert's own settings."""
+        """The expert's own settings, secrets as `redaction.Secret`."""
         return dict(self.model_extra or {})
 
 
@@ -197,7 +203,8 @@ def load_profile(profile: str | Path) -> Settings:
 
 def _merge(profile: str | Path, layers: Mapping[str, dict[str, Any]]) -> Settings:
     """The settings of a profile with layers over it, by where each comes from; the last one wins."""
-    merged = _read_profile(profile)
+    merged = conceal(_read_profile(profile))
+    layers = {source: conceal(layer) for source, layer in layers.items()}
     for source, layer in layers.items():
         if "name" in layer:  # the profile's own, which no layer may set
             raise _unknown_setting(["name"], _from(source))

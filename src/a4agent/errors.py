@@ -33,12 +33,17 @@ import importlib
 from collections.abc import Iterable
 from types import ModuleType
 
+from a4agent.redaction import redact
+
 
 class A4Error(Exception):
-    """Base of all errors raised on purpose by a4agent."""
+    """Base of all errors raised on purpose by a4agent. Secrets in the message are replaced by '***'."""
 
     retryable = False
     fatal = False
+
+    def __init__(self, *args: object) -> None:
+        super().__init__(*(redact(arg) for arg in args))
 
 
 class UserError(A4Error):

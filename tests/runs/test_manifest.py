@@ -50,7 +50,7 @@ def test_what_no_answer_depends_on_is_not_part_of_a_configuration() -> None:
 def test_a_key_is_told_to_nobody() -> None:
     told = settings_told(made(thinker__max_tokens=99))
     assert "sk-1" not in str(told)
-    assert told["thinker"]["vlm"]["api_key"] == "(left out)"
+    assert told["thinker"]["vlm"]["api_key"] == "***"
     assert told["thinker"]["max_tokens"] == 99
 
 

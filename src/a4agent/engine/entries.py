@@ -13,6 +13,7 @@ import numpy as np
 from a4agent.errors import DataError
 from a4agent.imaging.masks import decode_rle, encode_rle
 from a4agent.protocols import Answer, ChatAnswer, EditAnswer, Segmentation
+from a4agent.redaction import redact
 from a4agent.types import Detection, Usage
 
 
@@ -43,7 +44,7 @@ def pack(answer: Answer) -> bytes:
             "masks_shape": list(answer.masks.shape),
             "predicted_iou": _listed(answer.predicted_iou),
         }
-    body = json.dumps(fields).encode() + b"\n" + picture
+    body = json.dumps(redact(fields)).encode() + b"\n" + picture
     return hashlib.sha256(body).hexdigest().encode() + b"\n" + body
 
 

@@ -35,6 +35,7 @@ from a4agent.protocols import (
     SegmentRequest,
     with_usage,
 )
+from a4agent.redaction import redact
 from a4agent.types import Affordance, Detection, Given, Query
 
 MOST_IN_FLIGHT = 128
@@ -81,9 +82,8 @@ class Session:
         except Exception as error:
             if isinstance(error, A4Error) and (error.fatal or isinstance(error, BudgetExceeded)):
                 raise
-            answer = Affordance(
-                str(query.instruction), (0, 0), status="error", error=f"{type(error).__name__}: {error}"
-            )
+            reason = redact(f"{type(error).__name__}: {error}")
+            answer = Affordance(str(query.instruction), (0, 0), status="error", error=reason)
         finally:
             if self._segmenter and self.sample.image is not None:
                 self._segmenter.dispatcher.forget(self.sample.image)

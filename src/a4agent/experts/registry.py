@@ -25,6 +25,7 @@ from a4agent.errors import ConfigError, UnknownNameError
 from a4agent.plugins import Plugins
 from a4agent.plugins import keywords_of as settings_of
 from a4agent.protocols import VERBS, Expert, Role
+from a4agent.redaction import reveal
 
 Factory = Callable[..., Expert]
 PLAIN: dict[Any, tuple[type, str]] = {
@@ -100,14 +101,14 @@ def create(spec: str, role: Role, settings: Mapping[str, Any] | None = None) -> 
     """
     provider, model = split(spec)
     factory = factory_of(provider)
-    settings = dict(settings or {})
+    values: dict[str, Any] = reveal(dict(settings or {}))
     known = settings_of(factory)
     if known is not None:
-        for name in settings:
+        for name in values:
             if name not in known:
                 raise UnknownNameError.of(f"setting of {spec!r}:", name, known)
-    _check_values(spec, factory, settings)
-    expert = factory(model, role, **settings)
+    _check_values(spec, factory, values)
+    expert = factory(model, role, **values)
     if not callable(getattr(expert, VERBS[role], None)):
         raise ConfigError(f"{spec!r} cannot be the {role}: it has no method {VERBS[role]!r}")
     return expert
@@ -120,15 +121,17 @@ def build(specs: Mapping[str, ExpertSettings]) -> dict[str, Expert]:
         UnknownNameError: an unknown provider or setting; the message suggests the nearest.
         ConfigError: an expert cannot play its role, or a setting has a value it does not take.
     """
-    built: dict[tuple[Role, str], Expert] = {}
+    built: list[tuple[Role, ExpertSettings, Expert]] = []
 
     def one(spec: ExpertSettings, role: Role) -> Expert:
-        key = role, spec.model_dump_json()
-        if key not in built:
-            inner = inner_experts(spec.expert, spec.settings)
-            shared = {part: one(ExpertSettings(expert=name, **own), part) for part, (name, own) in inner.items()}
-            built[key] = create(spec.expert, role, {**spec.settings, **shared})
-        return built[key]
+        for known_role, known, expert in built:
+            if (known_role, known) == (role, spec):
+                return expert
+        inner = inner_experts(spec.expert, spec.settings)
+        shared = {part: one(ExpertSettings(expert=name, **own), part) for part, (name, own) in inner.items()}
+        expert = create(spec.expert, role, {**spec.settings, **shared})
+        built.append((role, spec, expert))
+        return expert
 
     return {name: one(spec, cast(Role, name.rpartition(".")[2])) for name, spec in specs.items()}
 

@@ -22,7 +22,6 @@ import hashlib
 import importlib.metadata
 import json
 import platform
-import re
 import shlex
 import subprocess
 import sys
@@ -36,9 +35,9 @@ from typing import Any, cast
 from a4agent import prompts
 from a4agent.config import STAGES, Settings
 from a4agent.errors import DataError
+from a4agent.redaction import redact
 
 SCHEMA = 1
-SECRET = re.compile(r"(?i)(api_?key|secret|password|(^|_)token|authorization)$")
 LIBRARIES = ("numpy", "pillow", "scipy", "torch", "transformers", "diffusers", "openai", "onnxruntime", "ray")
 
 
@@ -49,6 +48,10 @@ class Manifest:
     identity: Mapping[str, Any]
     about: Mapping[str, Any] = field(default_factory=dict)
     sessions: tuple[Mapping[str, Any], ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("identity", "about", "sessions"):
+            object.__setattr__(self, name, redact(getattr(self, name)))
 
     @property
     def hash(self) -> str:
@@ -117,15 +120,8 @@ def settings_identity(settings: Settings) -> dict[str, Any]:
 
 
 def settings_told(settings: Settings) -> dict[str, Any]:
-    """All settings, for people who want to know; what may be a secret is left out."""
-
-    def told(value: Any) -> Any:
-        if not isinstance(value, dict):
-            return value
-        table = cast("dict[str, Any]", value)
-        return {key: "(left out)" if SECRET.search(key) else told(item) for key, item in table.items()}
-
-    return told(settings.model_dump(mode="json", exclude={"profile", "name"}))
+    """All settings, for people who want to know, without secrets."""
+    return redact(settings.model_dump(mode="json", exclude={"profile", "name"}))
 
 
 def prompt_hashes(settings: Settings) -> dict[str, str]:

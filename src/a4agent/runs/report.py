@@ -24,6 +24,7 @@ from a4agent import metrics
 from a4agent.engine.threads import ordered_map
 from a4agent.errors import DataError
 from a4agent.imaging.masks import decode_rle
+from a4agent.redaction import redact
 from a4agent.runs import published, scores
 from a4agent.runs.store import STATUSES, Record, Run, write_atomically
 
@@ -95,7 +96,7 @@ def _sample(record: Record, side: int, pictures: Mapping[str, str]) -> dict[str,
     view = (max(1, round(width * scale)), max(1, round(height * scale)))
     names = {kind: Path(name).stem for kind, name in record.pictures.items() if name in pictures}
     target = row["target"] or {}
-    return {
+    found = {
         "id": record.id,
         "status": record.status,
         "outcome": scores.outcome(record),
@@ -120,6 +121,7 @@ def _sample(record: Record, side: int, pictures: Mapping[str, str]) -> dict[str,
         "pixels": [row["intersection"], row.get("prediction_pixels"), row["union"]],
         "steps": [_step(step) for step in row["trace"]],
     }
+    return redact(found)
 
 
 def _step(step: Mapping[str, Any]) -> dict[str, Any]:

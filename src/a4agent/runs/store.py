@@ -34,6 +34,7 @@ from a4agent.errors import ConfigError, DataError
 from a4agent.files import is_draft, replace_file
 from a4agent.imaging.load import image_hash
 from a4agent.metrics import Row
+from a4agent.redaction import redact
 from a4agent.runs.lock import hold
 from a4agent.runs.manifest import Manifest, differences
 from a4agent.types import Affordance, Status
@@ -253,6 +254,7 @@ class RunWriter:
 
     def add(self, row: Mapping[str, Any]) -> Record:
         """Append a line and wait until it is on the disk."""
+        row = redact(row)
         record = Record({key: row[key] for key in SCORED if key in row})
         line = json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
         view = memoryview(line.encode("utf-8", "surrogatepass") + b"\n")

@@ -33,11 +33,12 @@ from a4agent.errors import (
     require,
 )
 from a4agent.files import read_package_toml
+from a4agent.redaction import Secret, remember_url
 
 _NO_QUOTA = ("insufficient_quota", "billing_hard_limit_reached", "billing_not_active")
 _DECLINED = ("content_filter", "content_policy", "moderation_blocked", "responsibleaipolicy", "safety system")
 _NOT_JSON = (json.JSONDecodeError, UnicodeDecodeError, RecursionError)
-_LOCAL_KEY = "not-needed"  # the SDK wants some key; servers without one ignore it
+_LOCAL_KEY = Secret("none")  # the SDK wants some key; servers without one ignore it
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,7 @@ class Connection:
         self.server = find_server(server, base_url)
         self.base_url = (base_url or self.server.base_url).rstrip("/")
         _host_and_port(self.base_url)
+        remember_url(self.base_url)
         self._key_variable = api_key_variable or self.server.key_variable
         self._key = self._read_key(required=bool(api_key_variable) or self.server.key_required)
         self._timeout = timeout
@@ -178,21 +180,21 @@ class Connection:
         with self._lock:
             if self._client is None:
                 self._client = self._openai.OpenAI(
-                    api_key=self._key,
+                    api_key=self._key.reveal(),
                     base_url=self.base_url,
                     timeout=self._timeout,
                     max_retries=self._max_retries,
                 )
             return self._client
 
-    def _read_key(self, *, required: bool) -> str:
+    def _read_key(self, *, required: bool) -> Secret:
         name = self._key_variable
         key = os.environ.get(name, "").strip() if name else ""
         if required and not key:
             raise CredentialError(
                 f"{self} needs a key, and the environment variable {name} is not set: export {name}=..."
             )
-        return key or _LOCAL_KEY
+        return Secret(key) if key else _LOCAL_KEY
 
     def _explain(self, error: Exception) -> A4Error:
         sdk = self._openai
