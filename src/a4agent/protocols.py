@@ -175,6 +175,30 @@ class Segmenter(Expert, Protocol):
     def segment(self, requests: Sequence[SegmentRequest]) -> list[Segmentation | A4Error]: ...
 
 
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """`mask` (H, W) bool in this frame; `quality` from 0 (lost) to 1."""
+
+    mask: np.ndarray
+    quality: float
+
+
+class Tracker(Protocol):
+    """Follows one mask through consecutive frames of one size."""
+
+    def start(self, frame: Image, mask: np.ndarray) -> None:
+        """Follow `mask` (H, W) bool from here on; what was followed before is dropped."""
+        ...
+
+    def step(self, frame: Image) -> Tracked:
+        """Where the mask is in the next frame."""
+        ...
+
+    def close(self) -> None:
+        """Release memory."""
+        ...
+
+
 @runtime_checkable
 class Prepares(Protocol):
     """A segmenter that can do the part of its work that needs no prompts (the image encoding) ahead of time."""

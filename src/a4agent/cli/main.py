@@ -18,6 +18,8 @@ CommandLineError: Any = typer.BadParameter.__mro__[2]
 
 COMMANDS = {
     "predict": ("predict", "Find the part to act on, in images, folders or globs."),
+    "track": ("track", "Follow the part to act on through a video."),
+    "annotate": ("track", "Label every frame of a video or folder."),
     "bench": ("bench", "Run a profile on a benchmark and score it."),
     "score": ("score", "Score masks that another system wrote."),
     "report": ("report", "Write a run as one HTML file."),

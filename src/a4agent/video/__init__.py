@@ -1,0 +1,1 @@
+"""Video: ground the part once, follow it, and ground it again when it is lost."""
