@@ -69,6 +69,54 @@ def check(
 
 
 @app.command()
+def overlap(
+    left: Annotated[str, typer.Argument(metavar="A", help="A folder of images, or BENCHMARK=PATH.")],
+    right: Annotated[str, typer.Argument(metavar="B", help="Another one.")],
+    near: Annotated[int, typer.Option(min=0, max=32, help="How many of 64 bits may differ.")] = 6,
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Find the images that two sets share, also scaled or recompressed.
+
+    Use it before you trust a number: a memory or template bank that holds test images makes scores meaningless.
+    """
+    from a4agent.benchmarks.overlap import hash_images, shared
+
+    hashes: list[dict[str, int]] = []
+    with common.bar() as progress:
+        for source in (left, right):
+            images = _images_of(source)
+            task = progress.add_task(source, total=len(images))
+            found, problems = hash_images(images.items(), lambda task=task: progress.advance(task))
+            hashes.append(found)
+            for problem in problems:
+                common.warn(problem)
+    pairs = shared(*hashes, near=near)
+    if as_json:
+        print(json.dumps([{"a": pair.left, "b": pair.right, "distance": pair.distance} for pair in pairs], indent=1))
+        return
+    for pair in pairs:
+        print(f"{pair.left}  {pair.right}  ({pair.distance} bits differ)")
+    common_to = len({pair.left for pair in pairs})
+    print(f"{common_to} of {len(hashes[0])} images of {left} are among the {len(hashes[1])} of {right}")
+
+
+def _images_of(source: str) -> dict[str, Any]:
+    """The images of a folder, or of a benchmark given as NAME=PATH, each once."""
+    from a4agent.imaging.load import find_images
+
+    benchmark, equals, path = source.partition("=")
+    if equals and not Path(source).exists():
+        data = opened(benchmark, Path(path))
+        return {
+            str(sample.query.image) if isinstance(sample.query.image, Path) else sample.id: sample.query.image
+            for sample in data
+        }
+    if not Path(source).is_dir():
+        raise InputError(f"{source!r} is neither a folder nor BENCHMARK=PATH, such as umd=data/umd")
+    return {str(path): path for path in find_images(Path(source))}
+
+
+@app.command()
 def queries(
     benchmark: NameArgument,
     path: PathArgument,

@@ -10,7 +10,6 @@ from PIL import Image
 
 from a4agent.experts.local.sam2_video import LOOKS_BACK, Sam2VideoTracker
 
-
 WIDTH, MEMORY = 128, 64
 """Channels; the attention to memory takes 64, whatever the configuration, and fewer than the features have."""
 
