@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from a4agent.types import Query
+from a4agent.types import Affordance, Query
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +86,7 @@ class Benchmark:
     revision: the dataset's own word for its version, "" if it has none.
     protocol: how it is scored by default; published_protocol: how its authors' code scores it.
     expected: the published number of samples, None if there is no such number.
+    measure: further measures of one answer, by name, where the field has other ones than masks; means are printed.
     """
 
     name: str
@@ -100,6 +101,7 @@ class Benchmark:
     protocol: str = "strict"
     published_protocol: str = "strict"
     expected: int | None = None
+    measure: Callable[[Sample, Affordance], Mapping[str, float]] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return self.size
