@@ -47,26 +47,27 @@ def track(
     make_folder(out)
     origins: Counter[str] = Counter()
     grounded: list[int] = []
+    part = instruction
     started = time.monotonic()
     with open_frames(source) as frames, common.build_agent(settings) as agent:
-        total = min(filter(None, (frames.count, limit)), default=None)
+        expected = min(filter(None, (frames.count, limit)), default=None)
         video = OverlayVideo(out / "overlay.mp4", frames.rate)
         try:
             with (
                 common.bar(hidden=as_json) as progress,
                 (out / "frames.jsonl").open("w", encoding="utf-8") as lines,
             ):
-                task = progress.add_task("tracking", total=total)
+                task = progress.add_task("tracking", total=expected)
                 for found in follow(agent, frames, instruction, create(tracker), every=every):
                     line = json.dumps(_record(found))
                     lines.write(line + "\n")
                     if as_json:
                         print(line, flush=True)
-                    label = f"{found.source}: {found.affordance.phrase if found.affordance else instruction}"
-                    video.write(found.frame, found.mask, label, found.source != "lost")
-                    origins[found.source] += 1
                     if found.affordance is not None:
                         grounded.append(found.index)
+                        part = found.affordance.phrase
+                    video.write(found.frame, found.mask, f"{found.source}: {part}", found.source != "lost")
+                    origins[found.source] += 1
                     progress.advance(task)
                     if limit is not None and found.index + 1 >= limit:
                         break
@@ -75,13 +76,11 @@ def track(
         if frames.ended_early:
             common.warn(f"{frames.ended_early}; what was tracked is kept")
     seconds = time.monotonic() - started
+    total = sum(origins.values())
     shown = ", ".join(map(str, grounded[:10])) + (", ..." if len(grounded) > 10 else "")
-    say(
-        f"{origins.total()} frames, {origins.total() / seconds:.1f} a second;"
-        f" grounded {len(grounded)} times (frames {shown}); lost in {origins['lost']}"
-    )
+    say(f"{total} frames, {total / seconds:.1f} a second; grounded in frame {shown}; lost in {origins['lost']} frames")
     say(f"written to {out}/overlay.mp4 and frames.jsonl")
-    raise typer.Exit(common.SOME_FAILED if origins["lost"] == origins.total() else common.OK)
+    raise typer.Exit(common.SOME_FAILED if origins["lost"] == total else common.OK)
 
 
 def _record(found: FoundFrame) -> dict[str, object]:
