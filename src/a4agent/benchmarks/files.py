@@ -122,7 +122,7 @@ def read_polygons(polygons: Any, size_hw: Any, where: str) -> np.ndarray:
         if not corners:
             return np.zeros((height, width), bool)
         filled = coco.decode(coco.merge(coco.frPyObjects(corners, height, width)))
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise DataError(f"{where}: not COCO polygons: {error}") from error
     return filled.astype(bool)
 

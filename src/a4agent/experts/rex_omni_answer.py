@@ -46,7 +46,7 @@ Shape = tuple[str, Kind, list[float]]
 """(phrase, kind, flat coordinates x, y, x, y ... in pixels of the original image)."""
 
 _Piece = str | int  # a special token or plain text, or the number of a coordinate token
-_TOKEN = re.compile(r"(<\|[a-z_]+\|>)|<(\d+)>")
+_TOKEN = re.compile(r"(<\|[a-z_]+\|>)|<(\d{1,9})>")
 
 
 def detection_prompt(*categories: str) -> str:

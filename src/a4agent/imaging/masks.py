@@ -33,7 +33,7 @@ def decode_rle(rle: Mapping[str, Any]) -> np.ndarray:
     try:
         height, width = (int(side) for side in rle["size"])
         counts = rle["counts"]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise DataError(f"not a COCO RLE, which has 'size' [h, w] and 'counts': {str(rle)[:80]!r}") from error
     if height < 0 or width < 0 or height * width > MAX_PIXELS:
         raise DataError(f"a COCO RLE of impossible size {height} x {width}")
