@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from a4agent.errors import DataError
-from a4agent.imaging.masks import decode_rle, encode_rle
+from a4agent.imaging.masks import decode_rle, deepest_point, encode_rle, iou, tight_box
 
 
 @given(arrays(bool, array_shapes(min_dims=2, max_dims=2, max_side=20)))
@@ -73,3 +73,36 @@ def test_compressed_text_is_read_as_pycocotools_reads_it(runs: list[int]) -> Non
 def test_any_counts_are_read_or_refused(counts: str) -> None:
     with contextlib.suppress(DataError):
         assert decode_rle({"size": [5, 4], "counts": counts}).shape == (5, 4)
+
+
+def test_the_deepest_point_of_a_ring_lies_on_the_ring() -> None:
+    ring = np.zeros((30, 40), bool)
+    ring[5:25, 5:25] = True
+    ring[8:22, 8:20] = False  # the right side is 5 wide, the others 3
+    point = deepest_point(ring)
+    assert point is not None
+    assert point[0] == 22.5
+    assert ring[int(point[1]), int(point[0])]
+
+
+def test_the_pictures_edge_bounds_a_mask() -> None:
+    mask = np.zeros((9, 9), bool)
+    mask[:, :5] = True
+    point = deepest_point(mask)
+    assert point is not None
+    assert point.tolist() == [2.5, 2.5]
+
+
+def test_a_blank_mask_has_neither_box_nor_point() -> None:
+    blank = np.zeros((4, 4), bool)
+    assert tight_box(blank) is None
+    assert deepest_point(blank) is None
+
+
+def test_iou_of_masks() -> None:
+    a, b = np.zeros((4, 4), bool), np.zeros((4, 4), bool)
+    assert iou(a, b) == 1.0
+    a[:2] = True
+    b[1:3] = True
+    assert iou(a, b) == pytest.approx(1 / 3)
+    assert iou(a, ~a) == 0.0

@@ -1,4 +1,7 @@
-"""Masks as COCO run-length encoding: `{"size": [height, width], "counts": "..."}`, JSON-safe."""
+"""Masks (H, W) of bool: their box, their deepest point, their overlap, and COCO run-length encoding.
+
+encode_rle(mask) -> {"size": [height, width], "counts": "..."}        JSON-safe
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,36 @@ from a4agent.errors import DataError
 
 Rle = dict[str, Any]
 MAX_PIXELS = 100_000_000
+
+
+def tight_box(mask: np.ndarray) -> np.ndarray | None:
+    """The box xyxy (4,) float32 around a mask's pixels, half-open; None for a blank mask."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    if not len(rows):
+        return None
+    return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float32)
+
+
+def deepest_point(mask: np.ndarray) -> np.ndarray | None:
+    """The centre xy (2,) float32 of the pixel farthest from the mask's border, which the picture's edge is part of.
+
+    None for a blank mask.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    box = tight_box(mask)
+    if box is None:
+        return None
+    x0, y0, x1, y1 = (int(edge) for edge in box)
+    depth: Any = distance_transform_edt(np.pad(mask[y0:y1, x0:x1], 1))
+    row, column = np.unravel_index(int(depth.argmax()), depth.shape)
+    return np.array([x0 + column - 0.5, y0 + row - 0.5], np.float32)  # less the padding, plus half a pixel
+
+
+def iou(a: np.ndarray, b: np.ndarray) -> float:
+    """Intersection over union of two masks; 1 if both are blank."""
+    union = int((a | b).sum())
+    return int((a & b).sum()) / union if union else 1.0
 
 
 def encode_rle(mask: np.ndarray) -> Rle:

@@ -9,13 +9,14 @@ Each includes the ones before it, so that the gains add up to all that is lost.
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
 from a4agent.benchmarks.base import Sample
 from a4agent.errors import DataError, UnknownNameError
 from a4agent.imaging.load import load_image
+from a4agent.imaging.masks import deepest_point
 from a4agent.metrics import nearest_neighbour
 from a4agent.types import Detection, Given, Region, Target
 
@@ -76,10 +77,9 @@ def detection_of(mask: np.ndarray) -> Detection:
         if areas[i] < SPECKLE * areas.max():
             break
         rows, columns = slices[i]
-        depth: Any = ndimage.distance_transform_edt(np.pad(labels[rows, columns] == i + 1, 1))
-        y, x = np.unravel_index(depth.argmax(), depth.shape)
+        x, y = cast(Any, deepest_point(labels[rows, columns] == i + 1))
         boxes.append([columns.start, rows.start, columns.stop, rows.stop])
-        points.append([columns.start + int(x) - 0.5, rows.start + int(y) - 0.5])  # less the padding, plus half a pixel
+        points.append([columns.start + float(x), rows.start + float(y)])
     return Detection(np.array(boxes, np.float32).reshape(-1, 4), np.array(points, np.float32).reshape(-1, 2))
 
 

@@ -33,12 +33,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from a4agent.errors import ConfigError, DataError, ResourceError
 from a4agent.files import is_draft, replace_file
+from a4agent.imaging.masks import deepest_point, tight_box
 from a4agent.sim.assets import check_installed
 from a4agent.sim.backend import check_renderer, mujoco
 from a4agent.sim.draw import Drawn, Plan, draw_sample, plan_set
@@ -201,6 +202,7 @@ def write_sample(drawn: Drawn, out: Path) -> dict[str, Any]:
 
     height, width = mask.shape
     numbers = [number for number in range(1, len(plan.task.parts) + 1) if (drawn.regions == number).any()]
+    regions = [drawn.regions == number for number in numbers]
     return {
         "id": f"sim-{plan.seed}-{plan.stem}",
         "image": paths["image"],
@@ -213,8 +215,8 @@ def write_sample(drawn: Drawn, out: Path) -> dict[str, Any]:
         "choose": plan.task.choose,
         "parts": [plan.task.parts[number - 1] for number in numbers],
         "region_numbers": numbers,
-        "boxes_xyxy": [_box(drawn.regions == number) for number in numbers],
-        "points_xy": [_point(drawn.regions == number) for number in numbers],
+        "boxes_xyxy": [[int(edge) for edge in cast(Any, tight_box(region))] for region in regions],
+        "points_xy": [cast(Any, deepest_point(region)).tolist() for region in regions],
         "regions": paths["regions"],
         "object_mask": paths["object_mask"],
         "depth": paths["depth"],
@@ -231,18 +233,3 @@ def write_sample(drawn: Drawn, out: Path) -> dict[str, Any]:
         "props": list(drawn.scene.props),
         "arm": drawn.scene.arm,
     }
-
-
-def _box(region: np.ndarray) -> list[int]:
-    rows, columns = np.flatnonzero(region.any(1)), np.flatnonzero(region.any(0))
-    return [int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1]
-
-
-def _point(region: np.ndarray) -> list[float]:
-    """The middle of the pixel that lies deepest inside the region."""
-    from scipy.ndimage import distance_transform_edt
-
-    padded: Any = distance_transform_edt(np.pad(region, 1))
-    inside: np.ndarray = padded[1:-1, 1:-1]
-    row, column = np.unravel_index(int(inside.argmax()), region.shape)
-    return [float(column) + 0.5, float(row) + 0.5]
