@@ -27,7 +27,7 @@ import numpy as np
 
 from a4agent.errors import DataError, InputError
 from a4agent.imaging import overlay
-from a4agent.imaging.masks import decode_rle, encode_rle
+from a4agent.imaging.masks import decode_rle, encode_rle, tight_box
 from a4agent.imaging.save import write_answer
 
 if TYPE_CHECKING:
@@ -101,7 +101,8 @@ class Detection:
 
     As the model gave them: not clipped, not ordered, not paired. `points_derived` is true when the points were
     computed from the boxes: they tell a segmenter nothing new, and the centre of a ring is a hole.
-    `masks` (n, H, W) bool only from models that segment as they detect.
+    `masks` (n, H, W) bool only from models that segment as they detect. `cut_off` is true when the model ran into its
+    token limit and this is what it had given by then.
     """
 
     boxes_xyxy: np.ndarray = field(default_factory=no_boxes)
@@ -110,6 +111,7 @@ class Detection:
     points_derived: bool = False
     masks: np.ndarray | None = None
     text: str = ""
+    cut_off: bool = False
     usage: Usage = field(default_factory=Usage)
 
 
@@ -130,10 +132,7 @@ class Region:
     @property
     def tight_box_xyxy(self) -> np.ndarray | None:
         """The box (4,) float32 around the mask's pixels, None for a blank mask."""
-        rows, columns = np.flatnonzero(self.mask.any(1)), np.flatnonzero(self.mask.any(0))
-        if not len(rows):
-            return None
-        return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float32)
+        return tight_box(self.mask)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +162,8 @@ class Given:
 class Step:
     """One model call: who was asked what by which stage, what it answered and what it took.
 
-    `seconds` is wall time including retries; `cost` is in US dollars, None where no price is known.
+    `seconds` is wall time including retries; `cost` is in US dollars, None where no price is known. `cut_off` marks an
+    answer that ended at the token limit, `error` one that failed or could not be used.
     """
 
     stage: str
@@ -179,6 +179,7 @@ class Step:
     prompt: str = ""
     answer: str = ""
     request_id: str = ""
+    cut_off: bool = False
     error: str = ""
 
 

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from a4agent.stages.pairing import clean_boxes, clean_points, pair_as_paper, pair_by_holder, pair_optimally, to_prompts
+from a4agent.stages.pairing import (
+    Pairing,
+    clean_boxes,
+    clean_points,
+    pair_as_paper,
+    pair_by_holder,
+    pair_optimally,
+    to_prompts,
+)
+from a4agent.types import Detection
 
 SIZE = (64, 48)
 numbers = st.floats(-200, 200, width=32) | st.just(float("nan")) | st.just(float("inf"))
@@ -33,7 +44,8 @@ def test_clean_boxes_have_area_inside_the_image(boxes: np.ndarray) -> None:
 
 @given(some(2))
 def test_clean_points_are_pixels_of_the_image(points: np.ndarray) -> None:
-    clean = clean_points(points, SIZE)
+    clean, kept = clean_points(points, SIZE)
+    assert len(clean) == len(kept)
     assert ((clean >= 0) & (clean.astype(int) < SIZE)).all()
 
 
@@ -75,7 +87,7 @@ def test_one_kind_alone_and_neither() -> None:
 
 @given(some(4, 4), some(2, 4))
 def test_optimal_pairs_are_one_to_one_inside_and_as_many_as_can_be(boxes: np.ndarray, points: np.ndarray) -> None:
-    boxes, points = clean_boxes(boxes, SIZE)[0], clean_points(points, SIZE)
+    boxes, points = clean_boxes(boxes, SIZE)[0], clean_points(points, SIZE)[0]
     pairs = pair_optimally(boxes, points)
     assert sorted(i for i, _ in pairs if i is not None) == list(range(len(boxes)))
     taken = [(i, j) for i, js in pairs for j in js if i is not None]
@@ -96,13 +108,39 @@ def most_pairs(boxes: np.ndarray, points: np.ndarray) -> int:
     )
 
 
+def prompts_of(boxes: object, points: object, pairing: Pairing, **more: Any) -> list[tuple[Any, list[Any], Any]]:
+    """The prompts as lists: box, points, index of the box."""
+    detection = Detection(
+        np.array(boxes, np.float32).reshape(-1, 4), np.array(points, np.float32).reshape(-1, 2), **more
+    )
+    found = to_prompts(detection, SIZE, pairing)
+    return [(p.box_xyxy if p.box_xyxy is None else p.box_xyxy.tolist(), p.points_xy.tolist(), i) for p, i in found]
+
+
 def test_prompts_carry_the_paired_arrays() -> None:
-    boxes, points = np.array([[0, 0, 10, 10]], np.float32), np.array([[5, 5], [50, 40]], np.float32)
-    first, second = to_prompts(boxes, points, "optimal")
-    np.testing.assert_array_equal(first.box_xyxy, boxes[0])
-    np.testing.assert_array_equal(first.points_xy, points[:1])
-    assert second.box_xyxy is None
-    np.testing.assert_array_equal(second.points_xy, points[1:])
+    found = prompts_of([[0, 0, 10, 10]], [[5, 5], [50, 40]], "optimal")
+    assert found == [([0, 0, 10, 10], [[5, 5]], 0), (None, [[50, 40]], None)]
+
+
+def test_the_papers_rule_pairs_before_it_cleans() -> None:
+    """Two boxes and two points, one box without area: its point stands alone, and the other pair stays a pair."""
+    found = prompts_of([[5, 5, 5, 9], [20, 20, 30, 30]], [[5, 6], [25, 25]], "paper")
+    assert found == [(None, [[5, 6]], None), ([20, 20, 30, 30], [[25, 25]], 1)]
+    assert prompts_of([[20, 20, 30, 30]], [[99, 99]], "paper") == [([20, 20, 30, 30], [], 0)]
+    assert prompts_of([[5, 5, 5, 9]], [[99, 99]], "paper") == []
+
+
+@pytest.mark.parametrize("pairing", ["optimal", "paper", "inside"])
+def test_derived_points_prompt_nothing(pairing: Pairing) -> None:
+    found = prompts_of([[0, 0, 10, 10], [20, 20, 30, 30]], [[5, 5], [25, 25]], pairing, points_derived=True)
+    assert found == [([0, 0, 10, 10], [], 0), ([20, 20, 30, 30], [], 1)]
+
+
+def test_a_contested_point_outside_a_box_is_worth_less_than_any_pair() -> None:
+    """Three points near the centre of one box, none in the other: the far point must not be given to it."""
+    boxes = np.array([[0, 0, 10, 10], [4, 4, 14, 14]])
+    points = np.array([[5, 5], [1, 1], [60, 40]])
+    assert pair_optimally(boxes, points) == [(0, [1]), (1, [0]), (None, [2])]
 
 
 def test_a_box_takes_all_the_points_it_holds() -> None:
@@ -111,5 +149,8 @@ def test_a_box_takes_all_the_points_it_holds() -> None:
     assert pair_by_holder(boxes, points) == [(0, [0, 1]), (1, [2]), (None, [3])]
     assert pair_by_holder(np.zeros((0, 4)), points[:1]) == [(None, [0])]
     assert pair_by_holder(boxes, np.zeros((0, 2))) == [(0, []), (1, [])]
-    (first, *_) = to_prompts(boxes, points, "inside")
-    assert np.array_equal(first.points_xy, [[1, 1], [5, 5]])
+    assert prompts_of(boxes, points, "inside")[0][1] == [[1, 1], [5, 5]]
+
+
+def test_a_single_box_takes_the_points_outside_it_too() -> None:
+    assert pair_by_holder(np.array([[0, 0, 10, 10]]), np.array([[5, 5], [30, 30]])) == [(0, [0, 1])]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
 
 from a4agent.errors import ConfigError, ProviderError, ProviderUnavailable
 from a4agent.protocols import Segmentation
+from a4agent.stages.recorder import Recorder
 from a4agent.stages.spotter import Spotter
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter
 from a4agent.types import Detection
@@ -137,3 +140,33 @@ def test_a_confidence_that_is_no_number_is_no_score() -> None:
     (region,) = Spotter(ScriptedDetector([unsure]), None).locate(PHOTO, "x")
     assert region.score is None
     assert region.mask.all()
+
+
+def test_boxes_alone_prompt_the_segmenter_when_the_points_are_derived() -> None:
+    """On a ring the middle of the box is a hole: no click there, and the key point lies in the mask."""
+    ring = np.zeros((1, 1, 48, 64), bool)
+    ring[..., 5:25, 5:25] = True
+    ring[..., 9:21, 9:21] = False
+    segmenter = ScriptedSegmenter([Segmentation(ring, np.full((1, 1), 0.9, np.float32))])
+    detection = found([[5, 5, 25, 25]], [[15, 15]], points_derived=True)
+    (region,) = Spotter(ScriptedDetector([detection]), segmenter).locate(PHOTO, "the handle")
+    (prompt,) = segmenter.requests[0].prompts
+    assert prompt.points_xy.shape == (0, 2)
+    ((x, y),) = region.points_xy.astype(int)
+    assert region.mask[y, x]
+
+
+def test_predicted_iou_is_kept_beside_the_detectors_score() -> None:
+    detection = found([[0, 0, 10, 10]], scores=np.array([0.4], np.float32))
+    (region,) = Spotter(ScriptedDetector([detection]), ScriptedSegmenter()).locate(PHOTO, "x")
+    assert (region.score, region.predicted_iou) == (pytest.approx(0.4), pytest.approx(0.9))
+
+
+def test_segmenting_again_keeps_boxes_and_points() -> None:
+    spotter = Spotter(ScriptedDetector([found([[0, 0, 10, 10]], [[3, 3]])]), ScriptedSegmenter())
+    regions = spotter.locate(PHOTO, "x")
+    half = Segmentation(regions[0].mask[None, None] & (np.arange(64) < 5), np.full((1, 1), 0.7, np.float32))
+    recorder = Recorder()
+    (again,) = replace(spotter, segmenter=ScriptedSegmenter([half])).segment_again(PHOTO, regions, recorder, "verifier")
+    assert (again.mask.sum(), again.points_xy.tolist()) == (50, [[3, 3]])
+    assert recorder.trace.steps[0].stage == "verifier"

@@ -36,6 +36,7 @@ def pack(answer: Answer) -> bytes:
             "masks": None if answer.masks is None else [encode_rle(mask) for mask in answer.masks],
             "masks_shape": None if answer.masks is None else list(answer.masks.shape),
             "text": answer.text,
+            "cut_off": answer.cut_off,
         }
     else:
         height, width = answer.masks.shape[2:]
@@ -80,6 +81,7 @@ def _answer(fields: dict[str, Any], picture: bytes) -> Answer | None:
                 points_derived=fields["points_derived"],
                 masks=None if fields["masks"] is None else _masks(fields),
                 text=fields["text"],
+                cut_off=fields["cut_off"],
                 usage=usage,
             )
         case "Segmentation":

@@ -1,4 +1,4 @@
-"""Boxes and points as models give them, made fit to prompt a segmenter with.
+"""Turn the boxes and points of a detector into prompts for a segmenter: clean them and pair them.
 
 Boxes are (n, 4) xyxy, points (m, 2) xy, in pixels. Pure array functions.
 """
@@ -11,16 +11,46 @@ from typing import Literal
 import numpy as np
 
 from a4agent.protocols import Prompt
+from a4agent.types import Detection, no_points
 
 Pairing = Literal["optimal", "paper", "inside"]
 Pair = tuple[int | None, list[int]]
 """One region: the index of its box or None, and the indices of its points."""
 
 
-def clean_boxes(boxes_xyxy: np.ndarray, size_wh: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Order the corners, clip to the image, drop what is left without area or was not a number.
+def to_prompts(detection: Detection, size_wh: tuple[int, int], pairing: Pairing) -> list[tuple[Prompt, int | None]]:
+    """One prompt for each region to segment, with the index of its box in the detection.
 
-    Returns the boxes (k, 4) float32 and the indices (k,) they had.
+    "paper" pairs by index what the model gave and cleans the pairs afterwards, as the authors do; the others clean
+    first. Points that were derived from the boxes are no prompts.
+    """
+    boxes, box_numbers = clean_boxes(detection.boxes_xyxy, size_wh)
+    points, point_numbers = clean_points(detection.points_xy, size_wh)
+    if detection.points_derived:
+        points, pairs = no_points(), _all_boxes(len(boxes), lambda _: [])
+    elif pairing == "paper":
+        box_at = {int(number): i for i, number in enumerate(box_numbers)}
+        point_at = {int(number): j for j, number in enumerate(point_numbers)}
+        raw = pair_as_paper(np.size(detection.boxes_xyxy) // 4, np.size(detection.points_xy) // 2)
+        cleaned = [(None if i is None else box_at.get(i), [point_at[j] for j in js if j in point_at]) for i, js in raw]
+        pairs = [(i, js) for i, js in cleaned if i is not None or js]
+    elif pairing == "inside":
+        pairs = pair_by_holder(boxes, points)
+    else:
+        pairs = pair_optimally(boxes, points)
+    return [
+        (
+            Prompt(None if i is None else boxes[i], points[js].reshape(-1, 2)),
+            None if i is None else int(box_numbers[i]),
+        )
+        for i, js in pairs
+    ]
+
+
+def clean_boxes(boxes_xyxy: np.ndarray, size_wh: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Order the corners, clip to the image, drop boxes without area and those with a coordinate that is not finite.
+
+    Returns the boxes (k, 4) float32 and their indices (k,) in the input.
     """
     boxes = np.asarray(boxes_xyxy, np.float64).reshape(-1, 4)
     finite = np.all(np.isfinite(boxes), axis=1)
@@ -33,22 +63,15 @@ def clean_boxes(boxes_xyxy: np.ndarray, size_wh: tuple[int, int]) -> tuple[np.nd
     return ordered[kept], kept
 
 
-def clean_points(points_xy: np.ndarray, size_wh: tuple[int, int]) -> np.ndarray:
-    """The points (k, 2) float32 that lie in the image; one on its right or bottom edge is moved just inside."""
+def clean_points(points_xy: np.ndarray, size_wh: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Drop points outside the image; one on its right or bottom edge is moved just inside.
+
+    Returns the points (k, 2) float32 and their indices (k,) in the input.
+    """
     points = np.asarray(points_xy, np.float64).reshape(-1, 2)
     edge = np.array(size_wh, np.float64)
-    points = points[np.isfinite(points).all(1)]
-    points = points[(points >= 0).all(1) & (points <= edge).all(1)]
-    return np.minimum(points, np.nextafter(edge.astype(np.float32), np.float32(0))).astype(np.float32)
-
-
-def pair(boxes_xyxy: np.ndarray, points_xy: np.ndarray, pairing: Pairing) -> list[Pair]:
-    """Which points belong to which box."""
-    if pairing == "paper":
-        return pair_as_paper(len(boxes_xyxy), len(points_xy))
-    if pairing == "inside":
-        return pair_by_holder(boxes_xyxy, points_xy)
-    return pair_optimally(boxes_xyxy, points_xy)
+    kept = np.flatnonzero(np.isfinite(points).all(1) & (points >= 0).all(1) & (points <= edge).all(1))
+    return np.minimum(points[kept], np.nextafter(edge.astype(np.float32), np.float32(0))).astype(np.float32), kept
 
 
 def pair_as_paper(boxes: int, points: int) -> list[Pair]:
@@ -59,10 +82,10 @@ def pair_as_paper(boxes: int, points: int) -> list[Pair]:
 
 
 def pair_optimally(boxes_xyxy: np.ndarray, points_xy: np.ndarray) -> list[Pair]:
-    """One point to a box at most, inside it, with as many pairs as possible and then the least distance.
+    """At most one point for each box, inside it: as many pairs as possible, and of those the least total distance.
 
-    Distance is from the box's centre, in half-sides of the box. A box without a point stands alone. A point
-    that no box took and no box holds is a region of its own; one that lies in a box adds nothing and is left out.
+    Distance is measured from the box's centre, in half-sides of the box. A box without a point stands alone. A point
+    outside all boxes is a region of its own; a surplus point inside one is dropped.
     """
     boxes = np.asarray(boxes_xyxy, np.float64).reshape(-1, 4)
     points = np.asarray(points_xy, np.float64).reshape(-1, 2)
@@ -75,7 +98,7 @@ def pair_optimally(boxes_xyxy: np.ndarray, points_xy: np.ndarray) -> list[Pair]:
 
 
 def _assign(inside: np.ndarray, distance: np.ndarray) -> dict[int, int]:
-    """The point of each box that gets one. Where nothing is contested, scipy's half second of import is saved."""
+    """The point of each box that gets one. Scipy takes half a second to import, so only contested points pay for it."""
     if inside.sum(0).max() <= 1 and inside.sum(1).max() <= 1:
         return {int(i): int(j) for i, j in np.argwhere(inside)}
     from scipy.optimize import linear_sum_assignment
@@ -88,13 +111,16 @@ def _assign(inside: np.ndarray, distance: np.ndarray) -> dict[int, int]:
 def pair_by_holder(boxes_xyxy: np.ndarray, points_xy: np.ndarray) -> list[Pair]:
     """Every point goes with the box that holds it, of several the one with the nearest centre; others stand alone.
 
-    For models that mark one instance with a box and several points (Seg-Zero).
+    A single box takes all points, also those outside it. For models that mark one instance with a box and several
+    points (Seg-Zero).
     """
     boxes = np.asarray(boxes_xyxy, np.float64).reshape(-1, 4)
     points = np.asarray(points_xy, np.float64).reshape(-1, 2)
     if not len(boxes):
         return _lone_points(range(len(points)))
     inside, distance = _from_centres(boxes, points)
+    if len(boxes) == 1:
+        inside[:] = True
     holder = np.where(inside, distance, np.inf).argmin(0)
     held = inside.any(0)
     return _all_boxes(len(boxes), lambda i: [int(j) for j in np.flatnonzero(held & (holder == i))]) + _lone_points(
@@ -115,11 +141,3 @@ def _all_boxes(count: int, points_of: Callable[[int], list[int]]) -> list[Pair]:
 
 def _lone_points(points: Iterable[int]) -> list[Pair]:
     return [(None, [j]) for j in points]
-
-
-def to_prompts(boxes_xyxy: np.ndarray, points_xy: np.ndarray, pairing: Pairing) -> tuple[Prompt, ...]:
-    """One segmenter prompt a region."""
-    return tuple(
-        Prompt(None if i is None else boxes_xyxy[i], points_xy[j].reshape(-1, 2))
-        for i, j in pair(boxes_xyxy, points_xy, pairing)
-    )

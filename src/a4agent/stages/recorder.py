@@ -45,6 +45,11 @@ class Recorder:
     def trace(self) -> Trace:
         return Trace(tuple(self._steps))
 
+    def mark(self, error: A4Error) -> None:
+        """Note in the last step that its answer could not be used; a call that failed says so already."""
+        if self._steps and not self._steps[-1].error:
+            self._steps[-1] = replace(self._steps[-1], error=_told(error))
+
     @overload
     def ask(self, stage: str, expert: VisionLanguageModel, request: ChatRequest) -> ChatAnswer: ...
     @overload
@@ -78,9 +83,7 @@ class Recorder:
         except Exception as error:
             seconds = time.perf_counter() - started
             attempts = int(getattr(error, "attempts", 1))
-            self._steps.append(
-                replace(step, seconds=seconds, attempts=attempts, error=f"{type(error).__name__}: {error}")
-            )
+            self._steps.append(replace(step, seconds=seconds, attempts=attempts, error=_told(error)))
             if isinstance(error, A4Error):
                 raise
             raise ProviderError(f"{expert.id} failed on a {request.verb} request: {error!r}") from error
@@ -96,19 +99,30 @@ class Recorder:
                 cost=usage.cost,
                 request_id=usage.request_id,
                 answer=text,
+                cut_off=_is_cut_off(answer),
             )
         )
         return answer
 
 
 def _checked(answer: Answer, request: Request) -> Answer:
-    """The answer, if it is of the kind that was asked for. Experts are other people's, and not all are typed."""
+    """The answer, if it has the type that was asked for; experts of other packages may be untyped."""
     kind = KINDS[request.verb]
     if not isinstance(answer, kind):
-        raise TypeError(f"a {type(answer).__name__} where a {kind.__name__} is expected")
+        raise TypeError(f"expected a {kind.__name__}, not a {type(answer).__name__}")
     if isinstance(answer, ChatAnswer) and not isinstance(cast(Any, answer.text), str):
-        raise TypeError(f"a ChatAnswer whose text is {type(answer.text).__name__}")
+        raise TypeError(f"the text of a ChatAnswer is a string, not {type(answer.text).__name__}")
     return answer
+
+
+def _told(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+def _is_cut_off(answer: Answer) -> bool:
+    if isinstance(answer, ChatAnswer):
+        return answer.finish_reason == "length"
+    return isinstance(answer, Detection) and answer.cut_off
 
 
 def _prompt_of(request: Request) -> str:

@@ -6,18 +6,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from a4agent.errors import ConfigError, ProviderError
-from a4agent.protocols import Detector, DetectRequest, Segmenter, SegmentRequest
-from a4agent.stages import pairing as geometry
-from a4agent.stages.pairing import Pairing
+from a4agent.imaging.masks import deepest_point
+from a4agent.protocols import Detector, DetectRequest, Prompt, Segmenter, SegmentRequest
+from a4agent.stages.pairing import Pairing, clean_boxes, clean_points, to_prompts
 from a4agent.stages.recorder import Recorder
-from a4agent.types import Detection, Region
+from a4agent.types import Detection, Region, no_points
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -41,51 +41,82 @@ class Spotter:
         recorder: Recorder | None = None,
         detection: Detection | None = None,
         on_detection: Callable[[Detection], None] | None = None,
+        stage: str = "spotter",
     ) -> tuple[Region, ...]:
-        """The regions that show `phrase`, best first as the detector gave them; none found is an empty tuple.
+        """The regions that show `phrase`, in the detector's order; empty if there is none.
 
-        A `detection` that is given is used instead of asking the detector.
+        A `detection` that is given is used instead of asking the detector. `stage` is what the trace calls the asker.
 
         Raises:
             ProviderError: a model could not be asked, or answered with arrays of the wrong shape.
         """
         recorder = recorder or Recorder()
         if detection is None:
-            detection = recorder.ask("spotter", self.detector, DetectRequest(image=image, phrase=phrase))
-        detection = _clean(self.detector.id, detection, image.size)
+            detection = recorder.ask(stage, self.detector, DetectRequest(image=image, phrase=phrase))
+        clean = _clean(self.detector.id, detection, image.size)
         if on_detection is not None:
-            on_detection(detection)
+            on_detection(clean)
         if self.segmenter is None:
-            return _regions_of_masks(self.detector.id, detection, image.size)
-        pairs = geometry.pair(detection.boxes_xyxy, detection.points_xy, self.pairing)
+            return _regions_of_masks(self.detector.id, clean, image.size)
+        pairs = to_prompts(detection, image.size, self.pairing)
         if not pairs:
             return ()
-        prompts = geometry.to_prompts(detection.boxes_xyxy, detection.points_xy, self.pairing)
-        answer = recorder.ask("spotter", self.segmenter, SegmentRequest(image=image, prompts=prompts))
-        masks, predicted_iou = _best(self.segmenter.id, answer.masks, answer.predicted_iou, len(prompts), image.size)
-        scores = detection.scores
+        masks, predicted_iou = self._segment(image, tuple(prompt for prompt, _ in pairs), recorder, stage)
+        scores = None if detection.scores is None else np.ravel(detection.scores)
         return tuple(
             Region(
                 box_xyxy=prompt.box_xyxy,
-                points_xy=prompt.points_xy,
+                points_xy=_key_points(mask) if detection.points_derived else prompt.points_xy,
                 mask=mask,
-                score=_score(quality if scores is None or box is None else scores[box]),
+                score=_finite(quality if scores is None or box is None else scores[box]),
+                predicted_iou=_finite(quality),
             )
-            for prompt, (box, _), mask, quality in zip(prompts, pairs, masks, predicted_iou, strict=True)
+            for (prompt, box), mask, quality in zip(pairs, masks, predicted_iou, strict=True)
         )
 
+    def segment_again(
+        self, image: Image, regions: Sequence[Region], recorder: Recorder, stage: str = "spotter"
+    ) -> tuple[Region, ...]:
+        """The same boxes and points with new masks by this Spotter's segmenter.
 
-def _score(value: float) -> float | None:
-    """A model that has no number for its confidence has no score."""
+        Raises:
+            ProviderError: the segmenter could not be asked, or answered with arrays of the wrong shape.
+        """
+        prompted = [region for region in regions if region.box_xyxy is not None or len(region.points_xy)]
+        if not prompted or self.segmenter is None:
+            return ()
+        prompts = tuple(Prompt(region.box_xyxy, region.points_xy) for region in prompted)
+        masks, predicted_iou = self._segment(image, prompts, recorder, stage)
+        return tuple(
+            replace(region, mask=mask, predicted_iou=_finite(quality))
+            for region, mask, quality in zip(prompted, masks, predicted_iou, strict=True)
+        )
+
+    def _segment(
+        self, image: Image, prompts: tuple[Prompt, ...], recorder: Recorder, stage: str
+    ) -> tuple[np.ndarray, np.ndarray]:
+        assert self.segmenter is not None
+        answer = recorder.ask(stage, self.segmenter, SegmentRequest(image=image, prompts=prompts))
+        return _best(self.segmenter.id, answer.masks, answer.predicted_iou, len(prompts), image.size)
+
+
+def _key_points(mask: np.ndarray) -> np.ndarray:
+    """Where the model gave no point (k, 2): the one deepest inside the mask."""
+    point = deepest_point(mask)
+    return no_points() if point is None else point[None]
+
+
+def _finite(value: float) -> float | None:
+    """A score; None if it is not finite."""
     return float(value) if np.isfinite(value) else None
 
 
 def _clean(expert: str, detection: Detection, size_wh: tuple[int, int]) -> Detection:
-    """Boxes ordered, clipped and without empty ones, points inside the image; scores and masks follow the boxes."""
+    """The detection with clean boxes and points, and the scores and masks of the boxes that are left."""
     try:
         count = np.size(detection.boxes_xyxy) // 4
-        boxes, kept = geometry.clean_boxes(detection.boxes_xyxy, size_wh)
-        points = geometry.clean_points(detection.points_xy, size_wh)
+        boxes, kept = clean_boxes(detection.boxes_xyxy, size_wh)
+        points, _ = clean_points(detection.points_xy, size_wh)
         follow: dict[str, Any] = {}
         if detection.scores is not None:
             follow["scores"] = np.asarray(detection.scores, np.float32).reshape(count)[kept]
@@ -102,7 +133,7 @@ def _clean(expert: str, detection: Detection, size_wh: tuple[int, int]) -> Detec
 def _best(
     expert: str, masks: np.ndarray, predicted_iou: np.ndarray, prompts: int, size_wh: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of each prompt's candidates the one with the highest predicted IoU: (p, H, W) and (p,)."""
+    """Each prompt's candidate with the highest predicted IoU: masks (p, H, W) and predicted IoU (p,)."""
     width, height = size_wh
     if masks.ndim != 4 or masks.shape[0] != prompts or masks.shape[2:] != (height, width):
         raise ProviderError(
@@ -120,7 +151,7 @@ def _regions_of_masks(expert: str, detection: Detection, size_wh: tuple[int, int
     if not len(detection.boxes_xyxy):
         return ()
     if detection.masks is None:
-        raise ConfigError(f"{expert} gives boxes and no masks; set spotter.segmenter (for instance 'sam2:tiny')")
+        raise ConfigError(f"{expert} gives no masks; set spotter.segmenter (for instance 'sam2:tiny')")
     width, height = size_wh
     if detection.masks.shape[1:] != (height, width):
         raise ProviderError(
@@ -133,7 +164,7 @@ def _regions_of_masks(expert: str, detection: Detection, size_wh: tuple[int, int
             box_xyxy=box,
             points_xy=detection.points_xy[mask[rows, columns]],
             mask=mask.astype(bool, copy=False),
-            score=None if scores is None else _score(scores[i]),
+            score=None if scores is None else _finite(scores[i]),
         )
         for i, (box, mask) in enumerate(zip(detection.boxes_xyxy, detection.masks, strict=True))
     )
