@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, TypeVar, run
 import numpy as np
 
 from a4agent.errors import A4Error
-from a4agent.types import Affordance, Detection, Given, Usage, no_points
+from a4agent.types import Affordance, Detection, Given, Trace, Usage, no_points
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -226,8 +226,9 @@ class Agent(Protocol):
         instruction: str,
         *,
         given: Given | None = None,
+        may_retry: Callable[[Trace], bool] | None = None,
     ) -> Affordance:
-        """The answer for one image and one instruction."""
+        """The answer for one image and one instruction; see `a4agent.agent.A4Agent.predict`."""
         ...
 
 

@@ -50,6 +50,26 @@ class Budget:
                 self._check_time()
             self._running += 1
 
+    def may_retry(self, trace: Trace) -> bool:
+        """Whether a running sample may ask a stage again, given its steps so far.
+
+        That is expected to cost and take no more than the sample has so far. From then on, every sample in flight is
+        expected to cost as much, so that they all can finish.
+        """
+        with self._changed:
+            if self._max_seconds is not None:
+                elapsed = time.monotonic() - self._started
+                if elapsed + trace.seconds > self._max_seconds:
+                    return False
+            if self._max_cost is None:
+                return True
+            each = max(self._dearest or 0.0, 2 * trace.cost)
+            if self._spent + self._running * each > self._max_cost:
+                return False
+            if trace.cost:
+                self._dearest = each
+            return True
+
     def finish(self, trace: Trace | None, seconds: float) -> None:
         """Count a sample out, with what it took; without a trace it did not run."""
         with self._changed:

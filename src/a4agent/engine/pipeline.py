@@ -14,7 +14,7 @@ from a4agent.engine.session import Session
 from a4agent.engine.stats import Stats
 from a4agent.engine.stop import Stop
 from a4agent.protocols import Agent
-from a4agent.types import Affordance, Given, Query
+from a4agent.types import Affordance, Given, Query, Trace
 
 log = logging.getLogger("a4agent")
 
@@ -138,12 +138,16 @@ class _Pool:
                 return False
             number, query = taken
             given = self._given(query) if self._given else None
-            affordance = self._session.predict(query, given)
+            affordance = self._session.predict(query, given, self._may_retry)
             trace = affordance.trace
             self._results.put((number, query, affordance))
             return True
         finally:
             self._budget.finish(trace, time.monotonic() - started)
+
+    def _may_retry(self, trace: Trace) -> bool:
+        """Whether a sample may ask a stage again: not beyond the budget, and not when the run is to end."""
+        return not self._stopped and self._budget.may_retry(trace)
 
     def _take(self) -> tuple[int, Query] | None:
         with self._taking:

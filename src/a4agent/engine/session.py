@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any, cast
@@ -36,7 +36,7 @@ from a4agent.protocols import (
     with_usage,
 )
 from a4agent.redaction import redact
-from a4agent.types import Affordance, Detection, Given, Query
+from a4agent.types import Affordance, Detection, Given, Query, Trace
 
 MOST_IN_FLIGHT = 128
 
@@ -69,7 +69,9 @@ class Session:
         if settings.max_sample_seconds is not None:
             threading.Thread(target=self._watch, args=(settings.max_sample_seconds,), daemon=True).start()
 
-    def predict(self, query: Query, given: Given | None = None) -> Affordance:
+    def predict(
+        self, query: Query, given: Given | None = None, may_retry: Callable[[Trace], bool] | None = None
+    ) -> Affordance:
         """The answer to a query; whatever is wrong with this sample alone is a status and an error text.
 
         Raises:
@@ -78,7 +80,7 @@ class Session:
         self.sample.seconds_left = self.settings.max_sample_seconds
         self.sample.chats = ()
         try:
-            answer = self._agent.predict(query.image, query.instruction, given=given)
+            answer = self._agent.predict(query.image, query.instruction, given=given, may_retry=may_retry)
         except Exception as error:
             if isinstance(error, A4Error) and (error.fatal or isinstance(error, BudgetExceeded)):
                 raise

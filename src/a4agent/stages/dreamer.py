@@ -21,13 +21,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Dreamer:
-    """Imagines the interaction with a vision-language model and an image editor."""
+    """Imagines the interaction with a vision-language model and an image editor.
+
+    Without `required`, the agent goes on without an imagination when the Dreamer fails, as the authors do.
+    """
 
     vlm: VisionLanguageModel
     editor: ImageEditor
     prompts: str = "paper"
     seed: int = 0
     max_tokens: int = 512
+    required: bool = False
 
     def imagine(
         self,
@@ -35,8 +39,9 @@ class Dreamer:
         instruction: str,
         recorder: Recorder | None = None,
         on_step: Callable[[int, int], None] | None = None,
+        retry: int = 0,
     ) -> Imagination:
-        """The edit prompt and the edited picture.
+        """The edit prompt and the edited picture; each `retry` has another seed.
 
         Raises:
             AnswerError: the VLM wrote no usable prompt.
@@ -56,7 +61,7 @@ class Dreamer:
         if _declines(prompt):
             raise RefusedAnswer(f"{self.vlm.id} declined to write an edit prompt for {instruction!r}: {prompt[:200]!r}")
         edited = recorder.ask(
-            "dreamer", self.editor, EditRequest(image=image, prompt=prompt, seed=self.seed, on_step=on_step)
+            "dreamer", self.editor, EditRequest(image=image, prompt=prompt, seed=self.seed + retry, on_step=on_step)
         )
         return Imagination(prompt=prompt, image=edited.image)
 

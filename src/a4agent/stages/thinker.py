@@ -20,9 +20,12 @@ from a4agent.types import Imagination, Target
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-SAID = 240
+QUOTED = 240
 """How much of an unusable answer an error quotes, in characters."""
+REVISE = """
 
+Your previous answer was "{part}". A check of what came of it says: {reason}
+Think again, and answer in the output format above. Keep your answer only if you are sure of it."""
 REASK = """
 
 Your previous answer could not be used: {reason}.
@@ -48,8 +51,11 @@ class Thinker:
         instruction: str,
         imagination: Imagination | None = None,
         recorder: Recorder | None = None,
+        rejected: tuple[str, str] | None = None,
     ) -> Target:
         """The target: task, object, part ("the handle of the mug") and the thinking behind it.
+
+        `rejected` is a part that was answered before and what a check found wrong with it.
 
         Raises:
             AnswerError: no usable answer after all re-asks; the message holds the last reason.
@@ -59,6 +65,8 @@ class Thinker:
         imagined = imagination.image if imagination else None
         template = "thinker" if imagined is not None else "thinker_one_image"
         question = prompts.fill(prompts.load(self.prompts, template), instruction)
+        if rejected is not None:
+            question += REVISE.format(part=rejected[0], reason=rejected[1])
         images = (image,) if imagined is None else (image, imagined)
         schema = TargetAnswer.model_json_schema() if self.structured else None
         text, reason, said, cut_off = question, "", "", False
@@ -75,7 +83,7 @@ class Thinker:
             return replace(target, task=target.task or instruction, thinking=target.thinking or answer.reasoning)
         times = "once" if self.reasks == 0 else f"{self.reasks + 1} times"
         asked = f"{self.vlm.id} gave no usable answer to {instruction!r} when asked {times}"
-        asked += f": it said {said[:SAID].strip()!r} ({reason})" if said else f": {reason}"
+        asked += f": it said {said[:QUOTED].strip()!r} ({reason})" if said else f": {reason}"
         if cut_off:
             raise TruncatedAnswer(f"{asked}; raise thinker.max_tokens")
         raise UnreadableAnswer(asked)
