@@ -117,6 +117,19 @@ def test_wrong_use_exits_with_2_and_says_what_is_right(
     assert "Traceback" not in said
 
 
+def test_an_unsure_answer_shows_its_guess_and_exits_with_1(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("mine.toml").write_text(
+        PROFILE + "[verifier]\nsignals = ['predicted_iou', 'geometry']\naccept = 1.0\nretries = 0\n"
+    )
+    assert run("photos/mug.png", "drink") == 1
+    shown = capsys.readouterr()
+    assert "unsure" in shown.out
+    assert "16, 12, 48, 36" in shown.out
+    assert "not certain enough" in shown.err
+    assert run("photos", "drink") == 1
+    assert "3 of 3 answered, 3 unsure, 0 failed" in capsys.readouterr().err
+
+
 def test_a_second_question_keeps_the_first_answer() -> None:
     assert run("photos/mug.png", "drink") == 0
     first = Path("out/mug/affordance.json").read_bytes()

@@ -99,7 +99,8 @@ def _tell_in_short(affordance: Affordance, label: str) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    status = (f"{affordance.status:8}", "green" if affordance.status == "ok" else "red")
+    colour = {"ok": "green", "abstained": "yellow"}.get(affordance.status, "red")
+    status = (f"{affordance.status:10}", colour)
     console = Console(highlight=False, emoji=False, soft_wrap=True)
     console.print(Text.assemble(status, f"{label}: {affordance.summary}"))
 
@@ -110,13 +111,17 @@ def _tell(affordance: Affordance, folder: Path | None) -> None:
     from rich.text import Text
 
     console = Console(highlight=False, emoji=False, soft_wrap=True)
-    good = affordance.status == "ok"
-    rows: list[tuple[str, str]] = [("part" if good else "answer", affordance.summary)]
+    answered = affordance.status in ("ok", "abstained")
+    rows: list[tuple[str, str]] = [
+        ("part" if answered else "answer", affordance.phrase if answered else affordance.summary)
+    ]
+    if affordance.confidence is not None:
+        rows.append(("sure" if affordance.status == "ok" else "unsure", _certainty(affordance)))
     if affordance.target and affordance.target.thinking:
         rows.append(("thinking", affordance.target.thinking))
     if affordance.imagination:
         rows.append(("imagined", affordance.imagination.prompt))
-    if affordance.status == "ok":
+    if answered:
         share = affordance.mask.mean() if affordance.mask.size else 0.0
         rows.append(("box", "; ".join(", ".join(f"{x:.0f}" for x in box) for box in affordance.boxes_xyxy) or "none"))
         rows.append(("points", "; ".join(f"({x:.0f}, {y:.0f})" for x, y in affordance.points_xy) or "none"))
@@ -126,7 +131,21 @@ def _tell(affordance: Affordance, folder: Path | None) -> None:
         name, file = ("file", "affordance.json") if affordance.image is None else ("overlay", "overlay.png")
         rows.append((name, str(folder / file)))
     for name, value in rows:
-        console.print(Text.assemble((f"{name:>9}  ", "bold cyan"), (value, "" if name != "answer" else "red")))
+        colour = {"answer": "red", "unsure": "yellow", "sure": "green"}.get(name, "")
+        console.print(Text.assemble((f"{name:>9}  ", "bold cyan"), (value, colour)))
+    if affordance.status == "abstained":
+        say("not certain enough: the mask is the best guess; look at the overlay, or lower verifier.accept")
+
+
+def _certainty(affordance: Affordance) -> str:
+    """ "0.34: no mug among the things seen": the confidence, and for an unsure answer the check that is worst."""
+    worst = min(
+        (check for check in affordance.checks if check.value is not None),
+        key=lambda check: check.value or 0.0,
+        default=None,
+    )
+    reason = f": {worst.note}" if worst and worst.note and affordance.status == "abstained" else ""
+    return f"{affordance.confidence:.2f}{reason}"
 
 
 def _took(trace: Trace) -> str:
