@@ -328,7 +328,8 @@ class Affordance:
         if self.status == "ok":
             return self.phrase
         if self.status == "abstained":
-            return f"unsure ({self.confidence:.2f}): {self.phrase}"
+            unsure = "unsure" if self.confidence is None else f"unsure ({self.confidence:.2f})"
+            return f"{unsure}: {self.phrase}"
         if self.status == "empty":
             return f"not found: {self.phrase}"
         return f"{self.status}: {self.error or self.phrase}"

@@ -77,3 +77,30 @@ def test_a_sample_that_would_end_late_does_not_start() -> None:
     budget.finish(cost(0.0), 60.0)
     with pytest.raises(BudgetExceeded, match=r"another takes 60"):
         budget.start()
+
+
+def test_a_retry_is_expected_to_cost_what_its_sample_has() -> None:
+    budget = Budget(max_cost=1.0)
+    budget.start()
+    assert budget.may_retry(cost(0.5))  # 0.5 more, at most 1.0 in all
+    assert not budget.may_retry(cost(0.6))
+    budget.finish(cost(1.0), 1.0)
+    free = Budget(max_cost=0.5)
+    free.start()
+    assert free.may_retry(cost(0.4, cached=True))
+
+
+def test_a_retry_leaves_room_for_the_samples_beside_it() -> None:
+    budget = Budget(max_cost=1.0)
+    budget.start()
+    budget.start()
+    assert not budget.may_retry(cost(0.3))  # two samples of 0.6
+    assert budget.may_retry(cost(0.25))
+    assert budget.may_retry(cost(0.25))
+    assert not budget.may_retry(cost(0.26))
+
+
+def test_no_retry_ends_late() -> None:
+    slow = Trace((Step("thinker", "vlm", "x", seconds=30.0),))
+    assert not Budget(max_seconds=20.0).may_retry(slow)
+    assert Budget(max_seconds=40.0).may_retry(slow)

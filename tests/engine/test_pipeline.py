@@ -15,12 +15,14 @@ import pytest
 from a4agent import engine
 from a4agent.agent import A4Agent
 from a4agent.engine import EngineSettings, Stats
-from a4agent.errors import BudgetExceeded, CredentialError, ProviderUnavailable, RequestRejected
+from a4agent.errors import BudgetExceeded, CredentialError, ProviderUnavailable, RequestRejected, UnreadableAnswer
 from a4agent.protocols import ChatAnswer, ChatRequest, DetectRequest
+from a4agent.stages.signals import Evidence
 from a4agent.stages.spotter import Spotter
 from a4agent.stages.thinker import Thinker
+from a4agent.stages.verifier import Verifier
 from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedSegmenter, ScriptedVLM, output, scripted_agent
-from a4agent.types import Affordance, Detection, Given, Query, Target, Usage
+from a4agent.types import Affordance, Check, Detection, Given, Query, Target, Usage
 
 Queries = Callable[[int], Iterator[Query]]
 
@@ -242,6 +244,34 @@ def test_a_budget_of_money_is_kept_and_the_samples_in_flight_end(queries: Querie
     assert re.search(r"max_cost = 0.305", str(stopped))
     assert len(done) == len(vlm.requests) == 30
     assert {a.status for a in done} == {"ok"}
+
+
+@pytest.mark.parametrize("verdict", ["no", "garbage"])
+def test_a_verifier_that_never_accepts_stays_within_the_budget(queries: Queries, verdict: str) -> None:
+    """Samples that are asked again cost three times as much as those that are not."""
+
+    class Never:
+        name, needs = "never", ("vlm",)
+
+        def measure(self, evidence: Evidence) -> list[Check]:
+            assert evidence.vlm is not None
+            evidence.recorder.ask("verifier", evidence.vlm, ChatRequest((evidence.image,), "Is it right?"))
+            if verdict == "garbage":
+                raise UnreadableAnswer("the review is not the JSON that was asked for")
+            return [Check("never", 0.1, "no", "thinker")]
+
+    def priced(request: ChatRequest) -> ChatAnswer:
+        return ChatAnswer(output("the handle"), usage=Usage(cost=0.01))
+
+    vlm = ScriptedVLM(priced, concurrency=8)
+    spotter = Spotter(ScriptedDetector(), ScriptedSegmenter())
+    agent = A4Agent(None, Thinker(vlm), spotter, verifier=Verifier((Never(),), vlm=vlm))
+    done, stopped = until_stopped(engine.run(agent, queries(1000), settings=EngineSettings(max_cost=0.505)))
+    assert isinstance(stopped, BudgetExceeded)
+    assert sum(a.trace.cost for a in done) <= 0.505
+    assert len(vlm.requests) <= 50
+    assert {a.status for a in done} == {"abstained"}
+    assert len(vlm.requests) >= 40
 
 
 def test_a_budget_that_the_last_sample_uses_up_stops_nothing(queries: Queries) -> None:

@@ -4,7 +4,8 @@
     -> Verdict(confidence=0.34, checks=(Check("mirror", 0.12, "in the mirrored picture ...", blame="spotter"), ...))
 
 Signals measure (see `stages.signals`), a calibration turns their values into a probability. Without a calibration
-the confidence is the weakest check: a ranking, not a probability. `A4Agent` asks the blamed stage again while the
+the confidence is the weakest check: a ranking, not a probability; it is None if a signal failed, since the one that
+did may have been the weakest. `A4Agent` asks the blamed stage again while the
 answer is not accepted.
 """
 
@@ -82,20 +83,22 @@ class Verifier:
             self.max_tokens,
         )
         checks: list[Check] = []
+        failed = False
         for signal in self.signals:
             try:
                 checks += signal.measure(evidence)
             except A4Error as error:
                 if error.fatal or isinstance(error, BudgetExceeded):
                     raise
+                failed = True
                 checks.append(Check(signal.name, None, f"not measured: {error}"))
-        return Verdict(self._confidence(checks), tuple(checks))
+        if self.calibration is not None:
+            confidence: float | None = self.calibration.probability(values_of(checks))
+        else:
+            known = [check.value for check in checks if check.value is not None]
+            confidence = min(known) if known and not failed else None
+        return Verdict(confidence, tuple(checks))
 
     def accepts(self, confidence: float | None) -> bool:
         """Whether an answer of this confidence is `ok`; otherwise the agent abstains."""
         return confidence is not None and confidence >= self.accept
-
-    def _confidence(self, checks: list[Check]) -> float | None:
-        if self.calibration is not None:
-            return self.calibration.probability(values_of(checks))
-        return min((check.value for check in checks if check.value is not None), default=None)
