@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import sys
 from collections.abc import Iterator
@@ -12,6 +13,9 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "2")
 os.environ["HF_HUB_OFFLINE"] = "1"
 os.environ["GRADIO_ANALYTICS_ENABLED"] = "False"
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell ignores it for a suite that it starts with `&`
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import pytest
 

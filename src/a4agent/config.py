@@ -122,6 +122,7 @@ class EngineSettings(Table):
     batch_wait_ms: float = Field(default=4.0, ge=0)
     retries: int = Field(default=4, ge=0)
     retry_wait: float = Field(default=0.5, ge=0)
+    max_retry_after: float = Field(default=120.0, ge=0)
     outage_seconds: float = Field(default=300.0, gt=0)
     max_cost: float | None = Field(default=None, ge=0)
     max_seconds: float | None = Field(default=None, gt=0)

@@ -32,6 +32,7 @@ import difflib
 import importlib
 from collections.abc import Iterable
 from types import ModuleType
+from typing import Any
 
 from a4agent.redaction import redact
 
@@ -41,6 +42,8 @@ class A4Error(Exception):
 
     retryable = False
     fatal = False
+    usage: Any = None
+    """The `Usage` of an answer that was paid for and cannot be used, if the expert knows it."""
 
     def __init__(self, *args: object) -> None:
         super().__init__(*(redact(arg) for arg in args))
@@ -143,9 +146,7 @@ class ProviderUnavailable(ProviderError):
 
 
 class OutOfMemory(ProviderError):
-    """The accelerator or machine ran out of memory on this batch."""
-
-    retryable = True
+    """The accelerator or machine ran out of memory on this batch; the same one would again."""
 
 
 class RequestRejected(ProviderError):

@@ -22,23 +22,18 @@ DRAFT = re.compile(r"\.[0-9a-f]{32}\.tmp")
 
 def system_cache() -> Path:
     """This package's folder in the system's place for caches; it need not exist."""
-    home = Path.home()
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = home / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
-    return base / "a4agent"
+    from platformdirs import user_cache_path
+
+    return user_cache_path("a4agent", appauthor=False)
 
 
 def replace_file(path: Path, data: bytes, *, durable: bool = False) -> None:
-    """Put `data` at `path` in one step: whoever looks, also after a kill, sees the old content or the new one.
+    """Put `data` at `path` in one step: a reader, also after a kill, sees the old content or the new one.
 
-    The folder is made. With `durable` the data is on the disk when this returns.
+    The folder is created. With `durable` the data is on the disk when this returns.
 
     Raises:
-        OSError: it cannot be written; the old file is as it was, and nothing is left beside it.
+        OSError: it cannot be written; the old file is unchanged, and nothing is left beside it.
     """
     draft = path.with_name(f".{uuid.uuid4().hex}.tmp")
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -56,7 +51,7 @@ def replace_file(path: Path, data: bytes, *, durable: bool = False) -> None:
 
 
 def is_draft(path: Path) -> bool:
-    """Whether this is a file that `replace_file` was writing, or that a process killed meanwhile left behind."""
+    """Whether `replace_file` is writing this file, or a killed process left it behind."""
     return DRAFT.fullmatch(path.name) is not None
 
 

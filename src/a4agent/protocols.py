@@ -206,6 +206,14 @@ class Prepares(Protocol):
     def prepare(self, images: Sequence[Image]) -> None: ...
 
 
+@runtime_checkable
+class Charges(Protocol):
+    """An expert whose answers cost money; `price_known` says whether they carry their cost."""
+
+    @property
+    def price_known(self) -> bool: ...
+
+
 class Agent(Protocol):
     """What the engine needs of an agent; `a4agent.agent.A4Agent` is the one that ships."""
 

@@ -7,7 +7,7 @@
     batch = 8                        # calls an actor takes at once, if the expert allows them (default 16)
 
 The agent runs in this process, behind the local engine with its cache, retries, breakers and budget. Each of its
-experts is a `RemoteExpert`, which sends batches of requests to an actor that holds the real one. Nodes need the same
+experts is an `ActorExpert`, which sends batches of requests to an actor that holds the real one. Nodes need the same
 packages, keys and model files. RAY_ADDRESS names the cluster; without it, Ray is started here.
 """
 
@@ -30,7 +30,7 @@ from a4agent.config import STAGES, Settings
 from a4agent.engine import Stats
 from a4agent.errors import A4Error, ConfigError, ProviderError, ProviderUnavailable, UnknownNameError, nearest, require
 from a4agent.experts import registry
-from a4agent.protocols import VERBS, Request, Role, ask
+from a4agent.protocols import VERBS, Charges, Request, Role, ask
 from a4agent.types import Affordance, Given, Query
 
 DEFAULTS = {"replicas": 1.0, "num_cpus": 0.5, "num_gpus": 0.0, "batch": 16.0}
@@ -112,10 +112,10 @@ def pool_of(settings: Settings, stage: str) -> dict[str, float]:
     return pool
 
 
-class RemoteExpert:
+class ActorExpert:
     """Stands in for an expert held by each actor of a pool; asks the one with the fewest calls in flight."""
 
-    def __init__(self, name: str, about: About, actors: Actors, batch: int) -> None:
+    def __init__(self, name: str, about: ExpertFacts, actors: Actors, batch: int) -> None:
         self.id = about.id
         self.max_batch = about.max_batch
         self._name = name
@@ -124,6 +124,8 @@ class RemoteExpert:
         self._calls_each = min(max(1, about.concurrency), batch)
         self.concurrency = self._calls_each * actors.size
         setattr(self, VERBS[about.role], self._ask)
+        if about.price_known is not None:
+            self.price_known = about.price_known
 
     def fingerprint(self) -> Mapping[str, Any]:
         return self._fingerprint
@@ -190,7 +192,7 @@ class Actors:
 
 
 @dataclass(frozen=True)
-class About:
+class ExpertFacts:
     """What an actor tells of one of its experts."""
 
     role: Role
@@ -198,6 +200,7 @@ class About:
     max_batch: int
     concurrency: int
     fingerprint: Mapping[str, Any]
+    price_known: bool | None
 
 
 class StageActor:
@@ -213,15 +216,16 @@ class StageActor:
         except A4Error as error:
             self._broken = error
 
-    def about(self) -> dict[str, About] | A4Error:
+    def about(self) -> dict[str, ExpertFacts] | A4Error:
         """What the driver needs to know of each expert; the error that kept them from being built."""
         return self._broken or {
-            name: About(
+            name: ExpertFacts(
                 cast(Role, name.rpartition(".")[2]),
                 expert.id,
                 expert.max_batch,
                 expert.concurrency,
                 dict(expert.fingerprint()),
+                expert.price_known if isinstance(expert, Charges) else None,
             )
             for name, expert in self._experts.items()
         }
@@ -249,7 +253,7 @@ def _start_actors(ray: Any, settings: Settings, stage: str, pool: Mapping[str, f
     return [actor.remote(settings, stage) for _ in range(int(pool["replicas"]))]
 
 
-def _remote_experts(ray: Any, handles: list[Any], batch: int) -> dict[str, RemoteExpert]:
+def _remote_experts(ray: Any, handles: list[Any], batch: int) -> dict[str, ActorExpert]:
     """The experts of a stage, once its first actor has started."""
     starting = {handle.about.remote(): number for number, handle in enumerate(handles)}
     started, _ = ray.wait(list(starting), num_returns=1)
@@ -257,7 +261,7 @@ def _remote_experts(ray: Any, handles: list[Any], batch: int) -> dict[str, Remot
     told = actors.result(started[0], "a stage")
     if isinstance(told, A4Error):
         raise told
-    return {name: RemoteExpert(name, about, actors, batch) for name, about in told.items()}
+    return {name: ActorExpert(name, about, actors, batch) for name, about in told.items()}
 
 
 def send_pictures_as_arrays() -> None:

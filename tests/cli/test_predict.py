@@ -14,7 +14,9 @@ from PIL import Image
 
 from a4agent.cli.main import main
 from a4agent.experts import registry
+from a4agent.protocols import ChatAnswer
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, output
+from a4agent.types import Usage
 
 PROFILE = """
 [profile]
@@ -196,7 +198,9 @@ SLOW = """
 import sys
 from a4agent.cli.main import main
 from a4agent.experts import registry
+from a4agent.protocols import ChatAnswer
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, output
+from a4agent.types import Usage
 
 makers = {"vlm": lambda **more: ScriptedVLM(lambda asked: output("the handle"), **more),
           "detector": ScriptedDetector, "segmenter": ScriptedSegmenter}
@@ -220,3 +224,15 @@ def test_an_interrupt_saves_what_is_in_flight_and_exits_with_130(tmp_path: Path)
     assert "Traceback" not in said
     assert 1 <= len(answered) < 60
     assert all(Path(tmp_path, line["out"], "affordance.json").exists() for line in answered)
+
+
+def test_the_limit_of_cost_is_kept(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def dear(model: str, role: str) -> object:
+        if model == "vlm":
+            return ScriptedVLM(lambda asked: ChatAnswer(output("the handle", "mug"), usage=Usage(cost=0.02)))
+        return ScriptedDetector() if model == "detector" else ScriptedSegmenter()
+
+    monkeypatch.setitem(registry.plugins.added, "mine", dear)
+    assert run("photos", "drink", "--max-cost", "0.03", "--set", "engine.in_flight=1") != 0
+    assert "the budget of engine.max_cost = 0.03 dollars is used up" in capsys.readouterr().err
+    assert len(list(Path("out").rglob("affordance.json"))) == 1

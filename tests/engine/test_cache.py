@@ -1,7 +1,8 @@
-"""One file an answer: whole or not there, whoever writes and whoever is killed; the least used go first."""
+"""One file an answer, under the key of its question: whole or absent, whoever writes and whoever is killed."""
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import os
 import signal
@@ -10,15 +11,33 @@ import sys
 import textwrap
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from PIL import Image
 
-from a4agent.engine.cache import ABANDONED, Cache, default_folder
+from a4agent.engine.cache import ABANDONED, Cache, default_folder, key_of, pack, unpack
 from a4agent.errors import ConfigError
-from a4agent.protocols import ChatAnswer
-from a4agent.types import Detection
+from a4agent.protocols import (
+    Answer,
+    ChatAnswer,
+    ChatRequest,
+    DetectRequest,
+    EditAnswer,
+    EditRequest,
+    ExpertBase,
+    Prompt,
+    Request,
+    Segmentation,
+    SegmentRequest,
+)
+from a4agent.types import Detection, Usage
 
 
 def name(number: int) -> str:
@@ -242,3 +261,155 @@ def test_an_answer_with_masks_is_small(tmp_path: Path) -> None:
     assert isinstance(back, Detection)
     assert back.masks is not None
     assert np.array_equal(back.masks, masks)
+
+
+texts = st.text(st.characters(exclude_categories=("Cs",)), max_size=60)
+numbers = st.floats(width=32, allow_nan=True, allow_infinity=True)
+usages = st.builds(
+    Usage,
+    seconds=st.floats(0, 1e6),
+    attempts=st.integers(1, 9),
+    tokens_in=st.integers(0, 10**9),
+    cost=st.none() | st.floats(0, 100),
+    request_id=texts,
+)
+masks = arrays.arrays(bool, arrays.array_shapes(min_dims=3, max_dims=3, min_side=1, max_side=9))
+
+
+def floats(*shape: int) -> st.SearchStrategy[np.ndarray]:
+    return arrays.arrays(np.float32, shape, elements=numbers)
+
+
+chats = st.builds(
+    ChatAnswer, text=texts, reasoning=texts, finish_reason=st.sampled_from(["stop", "length"]), usage=usages
+)
+detections = st.integers(0, 4).flatmap(
+    lambda n: st.builds(
+        Detection,
+        boxes_xyxy=floats(n, 4),
+        points_xy=floats(2 * n, 2),
+        scores=st.none() | floats(n),
+        points_derived=st.booleans(),
+        masks=st.none() | arrays.arrays(bool, (n, 5, 7)),
+        text=texts,
+        usage=usages,
+    )
+)
+segmentations = st.tuples(st.integers(0, 3), st.integers(1, 3)).flatmap(
+    lambda shape: st.builds(
+        Segmentation, masks=arrays.arrays(bool, (*shape, 6, 5)), predicted_iou=floats(*shape), usage=usages
+    )
+)
+edits = st.builds(EditAnswer, arrays.arrays(np.uint8, (6, 5, 3)).map(lambda pixels: Image.fromarray(pixels)), usages)
+
+
+def same(one: object, other: object) -> bool:
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return one.dtype == other.dtype and np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
+    if isinstance(one, Image.Image) and isinstance(other, Image.Image):
+        return one.mode == other.mode and one.size == other.size and one.tobytes() == other.tobytes()
+    return one == other
+
+
+@settings(max_examples=120, deadline=None)
+@given(st.one_of(chats, detections, segmentations, edits))
+def test_an_answer_comes_back_as_it_was(answer: Answer) -> None:
+    back = unpack(pack(answer))
+    assert type(back) is type(answer)
+    for name, value in vars(answer).items():
+        assert same(value, getattr(back, name)), name
+
+
+@settings(max_examples=100, deadline=None)
+@given(chats, st.data())
+def test_a_damaged_entry_is_no_answer(answer: Answer, data: st.DataObject) -> None:
+    packed = bytearray(pack(answer))
+    if data.draw(st.booleans()):
+        place = data.draw(st.integers(0, len(packed) - 1))
+        packed[place] ^= data.draw(st.integers(1, 255))
+    else:
+        packed = packed[: data.draw(st.integers(0, len(packed) - 1))]
+    assert unpack(bytes(packed)) is None
+
+
+@given(st.binary(max_size=200))
+def test_bytes_from_elsewhere_are_no_answer(data: bytes) -> None:
+    assert unpack(data) is None
+
+
+def test_an_entry_of_another_version_is_no_answer() -> None:
+    body = pack(ChatAnswer("hello")).partition(b"\n")[2].replace(b"ChatAnswer", b"SongAnswer")
+    assert unpack(hashlib.sha256(body).hexdigest().encode() + b"\n" + body) is None
+    body = body.replace(b"SongAnswer", b"ChatAnswer").replace(b'"attempts"', b'"efforts"')
+    assert unpack(hashlib.sha256(body).hexdigest().encode() + b"\n" + body) is None
+
+
+def test_an_edited_picture_of_another_mode_is_kept_as_rgb() -> None:
+    back = unpack(pack(EditAnswer(Image.new("CMYK", (3, 2)))))
+    assert isinstance(back, EditAnswer)
+    assert back.image.mode == "RGB"
+    assert back.image.size == (3, 2)
+
+
+RED, BLUE = Image.new("RGB", (4, 3), "red"), Image.new("RGB", (4, 3), "blue")
+EXPERT = ExpertBase("x:y", revision="1", settings={"steps": 4})
+CHAT = ChatRequest(images=(RED,), text="Where?")
+EDIT = EditRequest(image=RED, prompt="open it")
+PROMPT = Prompt(np.array([0, 0, 2, 2], np.float32), np.array([[1, 1]], np.float32))
+SEGMENT = SegmentRequest(RED, (PROMPT,))
+GOLDEN = "371de6cd8c1ef346c0c18e7495e5fe40aff8b7f1b059167c1ef5c2921ac24691"
+
+
+def key(request: Request, expert: Any = EXPERT) -> str:
+    return key_of(expert, request)
+
+
+def test_the_same_question_has_the_same_key_whatever_objects_it_is_made_of() -> None:
+    twin = ExpertBase("x:y", revision="1", settings={"steps": 4})
+    assert key(CHAT) == key(replace(CHAT, images=(RED.copy(),)), twin)
+    assert key(SEGMENT) == key(SegmentRequest(RED.copy(), (replace(PROMPT, points_xy=PROMPT.points_xy.copy()),)))
+    assert key(EDIT) == key(replace(EDIT, on_step=print))
+    assert len(key(CHAT)) == 64
+
+
+def test_the_key_is_the_same_in_every_process_and_version() -> None:
+    """It names files that other processes and later versions look for."""
+    assert key(DetectRequest(RED, "the handle")) == GOLDEN
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (CHAT, replace(CHAT, text="Where")),
+        (CHAT, replace(CHAT, images=(BLUE,))),
+        (CHAT, replace(CHAT, images=(RED, RED))),
+        (replace(CHAT, images=(RED, BLUE)), replace(CHAT, images=(BLUE, RED))),
+        (CHAT, replace(CHAT, system="You are")),
+        (CHAT, replace(CHAT, schema={"type": "object"})),
+        (CHAT, replace(CHAT, max_tokens=7)),
+        (CHAT, replace(CHAT, attempt=1)),
+        (EDIT, replace(EDIT, seed=1)),
+        (EDIT, replace(EDIT, prompt="close it")),
+        (EDIT, DetectRequest(RED, "open it")),
+        (SEGMENT, SegmentRequest(RED, (PROMPT, PROMPT))),
+        (SEGMENT, SegmentRequest(RED, (replace(PROMPT, box_xyxy=None),))),
+        (SEGMENT, SegmentRequest(RED, (replace(PROMPT, box_xyxy=np.array([0, 0, 2, 3], np.float32)),))),
+        (SEGMENT, SegmentRequest(RED, (replace(PROMPT, points_xy=np.array([[1, 2]], np.float32)),))),
+        (SEGMENT, SegmentRequest(RED, (replace(PROMPT, points_xy=np.array([[1], [1]], np.float32)),))),
+    ],
+)
+def test_whatever_is_asked_differently_has_another_key(one: Request, other: Request) -> None:
+    assert key(one) != key(other)
+
+
+@pytest.mark.parametrize(
+    "expert",
+    [
+        ExpertBase("x:z", revision="1", settings={"steps": 4}),
+        ExpertBase("x:y", revision="2", settings={"steps": 4}),
+        ExpertBase("x:y", revision="1", settings={"steps": 5}),
+        ExpertBase("x:y", revision="1", settings={"steps": 4, "dtype": "bfloat16"}),
+    ],
+)
+def test_another_expert_has_another_key(expert: ExpertBase) -> None:
+    assert key(CHAT) != key(CHAT, expert)

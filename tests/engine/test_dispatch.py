@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from a4agent.engine.dispatch import PREPARED_AHEAD, Dispatcher, Job
+from a4agent.engine.dispatch import PREPARED_AHEAD, Dispatcher, QueuedRequest
 from a4agent.engine.retry import Breaker
 from a4agent.engine.stats import ExpertStats
 from a4agent.errors import A4Error, OutOfMemory, ProviderError, ProviderTimeout, ProviderUnavailable, RequestRejected
@@ -35,7 +35,7 @@ def make() -> Iterator[Make]:
 
 
 def ask(dispatcher: Dispatcher, *phrases: str) -> list[Answer | Exception]:
-    jobs = [Job(DetectRequest(PHOTO, phrase)) for phrase in phrases]
+    jobs = [QueuedRequest(DetectRequest(PHOTO, phrase)) for phrase in phrases]
     for job in jobs:
         dispatcher.submit(job)
     return [job.wait() for job in jobs]
@@ -61,36 +61,31 @@ def test_a_batch_that_is_not_full_waits_only_so_long(make: Make) -> None:
     assert 0.09 < time.monotonic() - started < 5.0
 
 
-class Greedy(ScriptedDetector):
-    """Runs out of memory on more than `fits` requests at once."""
+def test_a_batch_without_room_in_memory_is_asked_one_by_one(make: Make) -> None:
+    """Experts that can run out of memory shrink their batches themselves; one that raises is not lost."""
 
-    def __init__(self, fits: int, **settings: Any) -> None:
-        super().__init__(**settings)
-        self.fits = fits
-        self.sent: list[int] = []
+    class Greedy(ScriptedDetector):
+        def detect(self, requests: Sequence[DetectRequest]) -> Any:
+            if len(requests) > 1:
+                raise OutOfMemory(f"{len(requests)} do not fit")
+            return [OutOfMemory("none fits")] if requests[0].phrase == "b" else super().detect(requests)
 
-    def detect(self, requests: Sequence[DetectRequest]) -> Any:
-        self.sent.append(len(requests))
-        if len(requests) > self.fits:
-            raise OutOfMemory(f"{len(requests)} do not fit")
-        return super().detect(requests)
+    answers = ask(make(Greedy(max_batch=4)), *"abcd")
+    assert [isinstance(answer, OutOfMemory) for answer in answers] == [False, True, False, False]
 
 
-def test_out_of_memory_halves_the_batch_and_remembers(make: Make) -> None:
-    detector = Greedy(fits=2, max_batch=8)
-    dispatcher = make(detector)
-    answers = ask(dispatcher, *"abcdefgh")
-    assert not [answer for answer in answers if isinstance(answer, Exception)]
-    assert detector.batches == [2, 2, 2, 2]
-    assert detector.sent[:3] == [8, 4, 2]
-    detector.sent.clear()
-    ask(dispatcher, *"abcdefgh")
-    assert detector.sent == [2, 2, 2, 2]
-
-
-def test_out_of_memory_of_a_single_request_is_its_answer(make: Make) -> None:
-    answers = ask(make(Greedy(fits=0, max_batch=2)), *"ab")
-    assert all(isinstance(answer, OutOfMemory) for answer in answers)
+def test_the_request_that_fills_a_batch_wakes_the_thread_that_waits_for_it(make: Make) -> None:
+    """Not the one that has been idle for longer, which would leave the batch to its time limit."""
+    dispatcher = make(ScriptedDetector(max_batch=2, concurrency=2, seconds=0.05), batch_wait=20.0)
+    ask(dispatcher, *"abcd")
+    until(lambda: dispatcher._idle == 2)
+    first, second = QueuedRequest(DetectRequest(PHOTO, "e")), QueuedRequest(DetectRequest(PHOTO, "f"))
+    dispatcher.submit(first)
+    until(lambda: dispatcher._filling)
+    started = time.monotonic()
+    dispatcher.submit(second)
+    assert not isinstance(first.wait(), Exception)
+    assert time.monotonic() - started < 10.0
 
 
 def test_a_request_that_breaks_its_batch_fails_alone(make: Make) -> None:
@@ -177,7 +172,7 @@ def until(condition: Callable[[], bool]) -> None:
 def test_preparing_waits_for_those_that_segment_and_keeps_within_bounds(make: Make) -> None:
     segmenter = SlowSegmenter()
     dispatcher = make(segmenter)
-    jobs = [Job(SegmentRequest(PHOTO, ())) for _ in range(3)]
+    jobs = [QueuedRequest(SegmentRequest(PHOTO, ())) for _ in range(3)]
     for job in jobs:
         dispatcher.submit(job)
     images = [Image.new("RGB", (number, 4)) for number in range(1, 11)]
@@ -210,7 +205,7 @@ def test_a_preparation_that_hangs_does_not_block_the_segmenter_for_good(make: Ma
     dispatcher = make(segmenter)
     dispatcher.prepare(PHOTO)
     until(lambda: segmenter.done == [8])
-    job = Job(SegmentRequest(PHOTO, ()), 0.1)
+    job = QueuedRequest(SegmentRequest(PHOTO, ()), 0.1)
     dispatcher.submit(job)
     time.sleep(0.25)
     dispatcher.abandon_overdue(0.1)
@@ -231,7 +226,7 @@ def test_a_preparation_that_fails_leaves_the_segmentation_as_it_is(make: Make, e
     dispatcher = make(segmenter)
     dispatcher.prepare(PHOTO)
     until(lambda: segmenter.done == [8])
-    job = Job(SegmentRequest(PHOTO, ()))
+    job = QueuedRequest(SegmentRequest(PHOTO, ()))
     dispatcher.submit(job)
     until(lambda: job.settled)
 
@@ -246,7 +241,10 @@ def test_an_overdue_call_is_given_up_and_its_slot_used_again_only_later(make: Ma
 
     detector = ScriptedDetector(answer)
     dispatcher = make(detector)
-    hanging, next_one = Job(DetectRequest(PHOTO, "hang"), 0.3), Job(DetectRequest(PHOTO, "fine"), 0.3)
+    hanging, next_one = (
+        QueuedRequest(DetectRequest(PHOTO, "hang"), 0.3),
+        QueuedRequest(DetectRequest(PHOTO, "fine"), 0.3),
+    )
     dispatcher.submit(hanging)
     dispatcher.submit(next_one)
     time.sleep(0.35)
@@ -269,7 +267,7 @@ def test_closing_fails_what_is_queued(make: Make) -> None:
         return [[0, 0, 4, 4]]
 
     dispatcher = make(ScriptedDetector(answer))
-    first, second = Job(DetectRequest(PHOTO, "a")), Job(DetectRequest(PHOTO, "b"))
+    first, second = QueuedRequest(DetectRequest(PHOTO, "a")), QueuedRequest(DetectRequest(PHOTO, "b"))
     dispatcher.submit(first)
     dispatcher.submit(second)
     until(lambda: len(dispatcher.expert.requests) == 1)  # type: ignore[attr-defined]
@@ -283,7 +281,7 @@ def test_closed_it_fails_what_comes_or_is_held_back(make: Make) -> None:
     detector = ScriptedDetector(lambda request: ProviderUnavailable("down"))
     dispatcher = Dispatcher(detector, Breaker("x", 60.0, 600.0), ExpertStats("detector", "x"), 0.0)
     ask(dispatcher, *"abcdefghij")  # ten failures in a row: the breaker holds the next back for a minute
-    held = Job(DetectRequest(PHOTO, "k"))
+    held = QueuedRequest(DetectRequest(PHOTO, "k"))
     dispatcher.submit(held)
     until(lambda: not dispatcher._jobs)
     dispatcher.close()

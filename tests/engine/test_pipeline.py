@@ -15,6 +15,7 @@ import pytest
 from a4agent import engine
 from a4agent.agent import A4Agent
 from a4agent.engine import EngineSettings, Stats
+from a4agent.engine.pipeline import ordered_map
 from a4agent.errors import BudgetExceeded, CredentialError, ProviderUnavailable, RequestRejected, UnreadableAnswer
 from a4agent.protocols import ChatAnswer, ChatRequest, DetectRequest
 from a4agent.stages.signals import Evidence
@@ -347,3 +348,44 @@ def test_no_expert_is_asked_for_more_than_it_can_take(queries: Queries) -> None:
     agent = A4Agent(None, None, Spotter(ScriptedDetector(watched, concurrency=3), ScriptedSegmenter()))
     list(engine.run(agent, queries(100), settings=EngineSettings(in_flight=32)))
     assert most[0] == 3
+
+
+def test_results_come_in_order_however_long_each_takes() -> None:
+    def slow_first(number: int) -> int:
+        time.sleep(0.02 if number % 4 == 0 else 0)
+        return number * 2
+
+    assert list(ordered_map(slow_first, range(40), workers=4)) == [2 * number for number in range(40)]
+
+
+def test_no_more_is_taken_than_is_being_worked_on() -> None:
+    taken = 0
+
+    def items() -> Iterator[int]:
+        nonlocal taken
+        for number in range(1000):
+            taken += 1
+            yield number
+
+    results = ordered_map(lambda number: number, items(), workers=3)
+
+    assert next(results) == 0
+    assert taken == 6
+    results.close()
+    assert taken == 6
+
+
+def test_threads_are_used_and_end() -> None:
+    barrier = threading.Barrier(3, timeout=5)
+
+    assert len(list(ordered_map(lambda _: barrier.wait(), range(3), workers=3))) == 3
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("a4-map")]
+
+
+def test_an_error_comes_at_its_turn() -> None:
+    results = ordered_map(lambda number: 6 // (3 - number), range(10), workers=2)
+
+    assert [next(results) for _ in range(3)] == [2, 3, 6]
+    with pytest.raises(ZeroDivisionError):
+        next(results)
+    assert list(ordered_map(str, [], workers=2)) == []

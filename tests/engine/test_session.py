@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,8 +15,18 @@ from PIL import Image
 from a4agent import engine
 from a4agent.agent import A4Agent
 from a4agent.engine import EngineSettings, Stats
-from a4agent.engine.session import Session
-from a4agent.errors import AnswerError, ProviderTimeout, ProviderUnavailable, RateLimited, RequestRejected
+from a4agent.engine.session import EngineSession
+from a4agent.errors import (
+    AnswerError,
+    BudgetExceeded,
+    ConfigError,
+    OutOfMemory,
+    ProviderTimeout,
+    ProviderUnavailable,
+    RateLimited,
+    RefusedAnswer,
+    RequestRejected,
+)
 from a4agent.protocols import ChatAnswer, ChatRequest, DetectRequest, EditRequest
 from a4agent.stages.dreamer import Dreamer
 from a4agent.stages.spotter import Spotter
@@ -210,22 +221,122 @@ def test_an_expert_that_stays_down_stops_the_run(queries: Queries) -> None:
     assert len(detector.requests) < 60
 
 
-def test_a_rate_limit_is_waited_out(queries: Queries) -> None:
-    lock, state = threading.Lock(), {"limited": 0.0, "early": 0}
+def test_an_outage_is_not_held_against_a_sample_that_failed_before() -> None:
+    """With one retry, a failure of the probing calls would end a sample if it counted."""
+    back = time.monotonic() + 0.4
 
-    def limited(request: DetectRequest) -> Any:
-        with lock:
-            now = time.monotonic()
-            if state["limited"] == 0.0:
-                state["limited"] = now
-                return RateLimited("slow down", retry_after=0.2)
-            state["early"] += now < state["limited"] + 0.19
-            return [[0, 0, 4, 4]]
+    def down_for_a_while(request: DetectRequest) -> Any:
+        return [[0, 0, 4, 4]] if time.monotonic() > back else ProviderUnavailable("connection refused")
 
-    agent = A4Agent(None, None, Spotter(ScriptedDetector(limited), ScriptedSegmenter()))
-    answers = by_id(agent, queries(10), settings=EngineSettings(retry_wait=0.001))
+    detector = ScriptedDetector(down_for_a_while, concurrency=16)
+    agent = A4Agent(None, None, Spotter(detector, ScriptedSegmenter()))
+    queries = [Query(str(number), Image.new("RGB", (8, 8)), f"open {number}") for number in range(16)]
+    answers = by_id(agent, iter(queries), settings=EngineSettings(retry_wait=0.01, retries=1, in_flight=16))
     assert {a.status for a in answers.values()} == {"ok"}
-    assert state["early"] == 0
+    assert len(detector.requests) > 16 + 2
+
+
+def limited_once(phrase: str, retry_after: float) -> Callable[[DetectRequest], Any]:
+    """An answer function that refuses the first request for `phrase`."""
+    refused: list[str] = []
+
+    def answer(request: DetectRequest) -> Any:
+        if request.phrase == phrase and not refused:
+            refused.append(phrase)
+            return RateLimited("slow down", retry_after=retry_after)
+        return [[0, 0, 4, 4]]
+
+    return answer
+
+
+def test_a_wait_is_the_provider_s_and_of_one_sample_alone(queries: Queries) -> None:
+    agent = A4Agent(None, None, Spotter(ScriptedDetector(limited_once("use thing 2", 0.5)), ScriptedSegmenter()))
+    started, ended = time.monotonic(), dict[str, float]()
+    for query, affordance in engine.run(agent, queries(10), settings=EngineSettings(retry_wait=0.001)):
+        assert affordance.status == "ok"
+        ended[query.id] = time.monotonic() - started
+    assert ended.pop("q2") >= 0.5
+    assert max(ended.values()) < 0.45
+
+
+def test_a_provider_cannot_ask_for_a_longer_wait_than_the_setting(queries: Queries) -> None:
+    agent = A4Agent(None, None, Spotter(ScriptedDetector(limited_once("use thing 2", 1e5)), ScriptedSegmenter()))
+    started = time.monotonic()
+    answers = by_id(agent, queries(5), settings=EngineSettings(retry_wait=0.001, max_retry_after=0.2))
+    assert {a.status for a in answers.values()} == {"ok"}
+    assert 0.2 <= time.monotonic() - started < 10.0
+
+
+def stopped_while_waiting(detector: ScriptedDetector, queries: Iterator[Query], **settings: Any) -> list[str]:
+    """The ids answered by a run that is interrupted after half a second."""
+    agent = A4Agent(None, None, Spotter(detector, ScriptedSegmenter()))
+    done: list[str] = []
+    interrupt = threading.Timer(0.5, signal.raise_signal, (signal.SIGINT,))
+    interrupt.start()
+    started = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        done += (query.id for query, _ in engine.run(agent, queries, settings=EngineSettings(**settings)))
+    assert time.monotonic() - started < 10.0
+    return done
+
+
+def test_a_stop_ends_the_wait_before_a_retry_and_leaves_that_sample_to_the_next_run(queries: Queries) -> None:
+    detector = ScriptedDetector(limited_once("use thing 2", 1e5))
+    assert sorted(stopped_while_waiting(detector, queries(5))) == ["q0", "q1", "q3", "q4"]
+
+
+def test_a_stop_ends_the_wait_for_an_expert_that_is_down(queries: Queries) -> None:
+    detector = ScriptedDetector(lambda request: ProviderUnavailable("connection refused"))
+    assert stopped_while_waiting(detector, queries(50), retry_wait=20.0, retries=100) == []
+
+
+def test_what_does_not_fit_into_memory_is_asked_once() -> None:
+    detector = ScriptedDetector(lambda request: OutOfMemory("3 GB are missing"))
+    agent = A4Agent(None, None, Spotter(detector, ScriptedSegmenter()))
+    ((_, affordance),) = engine.run(agent, [Query("a", Image.new("RGB", (8, 8)), "open")])
+    assert affordance.error == "OutOfMemory: 3 GB are missing"
+    assert len(detector.requests) == 1
+
+
+class Charging(ScriptedVLM):
+    """A VLM that costs money, at a price that may be unknown."""
+
+    def __init__(self, answer: Any, *, price_known: bool = True) -> None:
+        super().__init__(answer, id="charging:vlm")
+        self.price_known = price_known
+
+
+def test_a_limit_of_cost_is_refused_for_an_expert_of_unknown_price(queries: Queries) -> None:
+    vlm = Charging(lambda request: output("the handle"), price_known=False)
+    agent = A4Agent(None, Thinker(vlm), Spotter(ScriptedDetector(), ScriptedSegmenter()))
+    with pytest.raises(ConfigError, match="the price of charging:vlm is unknown; set its `price`"):
+        list(engine.run(agent, queries(3), settings=EngineSettings(max_cost=1.0)))
+    assert vlm.requests == []
+    assert len(list(engine.run(agent, queries(3)))) == 3
+
+
+def test_a_limit_of_cost_ends_with_the_first_answer_of_unknown_cost(queries: Queries) -> None:
+    vlm = Charging(lambda request: ChatAnswer(output("the handle")))  # the server left its token counts out
+    agent = A4Agent(None, Thinker(vlm), Spotter(ScriptedDetector(), ScriptedSegmenter()))
+    done: list[Affordance] = []
+    with pytest.raises(BudgetExceeded, match=r"max_cost = 1: charging:vlm answered without its token usage"):
+        done += (a for _, a in engine.run(agent, queries(50), settings=EngineSettings(max_cost=1.0)))
+    assert len(done) == len(vlm.requests) < 10
+
+
+def test_an_answer_that_cannot_be_used_keeps_its_cost(queries: Queries) -> None:
+    def refuse(request: ChatRequest) -> Any:
+        error = RefusedAnswer("I cannot help with that")
+        error.usage = Usage(cost=0.05, tokens_in=100)
+        return error
+
+    agent = A4Agent(None, Thinker(Charging(refuse)), Spotter(ScriptedDetector(), ScriptedSegmenter()))
+    stats, settings, done = Stats(), EngineSettings(max_cost=0.3), list[Affordance]()
+    with pytest.raises(BudgetExceeded, match=r"max_cost = 0.3 dollars"):
+        done += (a for _, a in engine.run(agent, queries(50), settings=settings, stats=stats))
+    assert [a.status for a in done] == ["invalid"] * 6
+    assert [a.trace.steps[0].tokens_in for a in done] == [100] * 6
+    assert stats.cost == pytest.approx(sum(a.trace.cost for a in done)) == pytest.approx(0.3)
 
 
 class Crowded(ScriptedDetector):
@@ -292,7 +403,7 @@ def test_the_image_is_encoded_while_the_editor_works(write: EngineSettings) -> N
 
 def test_enough_samples_are_in_flight_for_the_slowest_expert() -> None:
     def in_flight(agent: A4Agent, **settings: Any) -> int:
-        session = Session(agent, EngineSettings(**settings))
+        session = EngineSession(agent, EngineSettings(**settings))
         session.close()
         return session.in_flight
 

@@ -12,9 +12,10 @@ def test_a_line_an_expert_leaves_out_what_did_not_happen() -> None:
     asked = stats.of("vlm", "openai:x")
     asked.count_call(4, 1.25)
     asked.count_answer(Usage(cost=0.5))
-    asked.count_failure(again=True)
+    asked.count_retry()
+    asked.count_failure(Usage(cost=0.25))
     stats.of("segmenter", "sam2:tiny").count_answer(Usage(cached=True))
     assert stats.lines() == [
-        "vlm       openai:x: 4 asked in 1 calls, 1 retried, 1.2 s, $0.5000",
+        "vlm       openai:x: 4 asked in 1 calls, 1 retried, 1 failed, 1.2 s, $0.7500",
         "segmenter sam2:tiny: 1 saved",
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import struct
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 from PIL import Image, ImageOps
 
 from a4agent.errors import InputError
+from a4agent.imaging import load
 from a4agent.imaging.load import find_images, image_hash, load_image
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (40, 60, 3), dtype=np.uint8)
@@ -220,3 +222,17 @@ def test_find_images_takes_no_answers_for_photographs(tmp_path: Path) -> None:
         (tmp_path / name).touch()
     found = [path.relative_to(tmp_path).as_posix() for path in find_images(tmp_path)]
     assert found == ["masks/mask.png", "mug.png", "out/cup.png"]
+
+
+def test_a_picture_is_hashed_once_and_forgotten_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    hashed: list[Image.Image] = []
+    monkeypatch.setattr(load, "_hash_pixels", lambda image: hashed.append(image) or str(image.getpixel((0, 0))))
+    photo = Image.new("RGB", (4, 3), "red")
+    assert image_hash(photo) == image_hash(photo)
+    assert len(hashed) == 1
+    hashed.clear()
+    del photo
+    gc.collect()
+    assert not [name for _, name in load._HASHES.values() if name == "(255, 0, 0)"]
+    names = {image_hash(Image.new("RGB", (4, 3), (shade, 0, 0))) for shade in range(200)}
+    assert len(names) == 200  # Python gives the id of an object that is gone to the next one

@@ -1,44 +1,54 @@
 """Answers kept on disk, by the content of the question: nothing is asked twice.
 
-    CACHE/v1/3f/3f9c...e1.entry        one answer, one file
-    {"sha256": "...", "answer": {"kind": "ChatAnswer", "text": "### Thinking ...", ...}}\\n
-    <the bytes of a PNG, if the answer is a picture>
+    CACHE/v1/3f/3f9c...e1.entry        one answer, one file: its checksum, a line of JSON, the PNG if it is a picture
+    9c0d...                                      sha256 of the rest
+    {"kind": "ChatAnswer", "text": "### Thinking ...", ...}
 
-A file is written beside its place and renamed, so readers see all of it or nothing, however many processes
-write and whenever they are killed; what is damaged all the same is a miss. A hit renews the file's time, and
-when the folder outgrows its limit the files not used for longest go. Files of others are never touched.
+The key is a sha256 over the expert's fingerprint, all fields of the request and the pixels of its images. A file is
+written beside its place and renamed, so readers see all of it or nothing, however many processes write and whenever
+they are killed; a damaged file is a miss. A hit renews the file's time, and when the folder outgrows its limit the
+files unused for longest go. Other files in the folder are never touched.
 """
 
 from __future__ import annotations
 
+import hashlib
+import io
+import json
 import logging
 import os
 import re
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
+from typing import Any, cast
 
-from a4agent.engine import entries
-from a4agent.errors import ConfigError
+import numpy as np
+
+from a4agent.errors import ConfigError, DataError
 from a4agent.files import is_draft, replace_file, system_cache
-from a4agent.protocols import Answer, ChatAnswer
+from a4agent.imaging.load import image_hash
+from a4agent.imaging.masks import decode_rle, encode_rle
+from a4agent.protocols import Answer, ChatAnswer, EditAnswer, Expert, Request, Segmentation
+from a4agent.redaction import redact
+from a4agent.types import Detection, Usage
 
 log = logging.getLogger("a4agent")
 
 FORMAT = "v1"
-"""Changes when older entries can be read no more."""
+"""Changes when older entries can no longer be read."""
 ENTRY = re.compile(r"[0-9a-f]{64}\.entry")
 KEEP = 0.9
-"""The share of the limit that an eviction leaves. A process that added the rest counts anew: others write too."""
+"""The share of the limit that an eviction leaves. A process that added the rest counts again: others write too."""
 ABANDONED = 3600.0
-"""Seconds after which a half-written file belongs to a process that is gone."""
+"""Seconds after which the process that was writing a file counts as killed."""
 
 
 def default_folder() -> Path:
-    """A4_CACHE_DIR, or the place for caches of this system."""
+    """A4_CACHE_DIR, or the system's place for caches."""
     chosen = os.environ.get("A4_CACHE_DIR")
     return Path(chosen).expanduser() if chosen else system_cache() / "answers"
 
@@ -56,7 +66,7 @@ class Cache:
     """A folder of answers, at most `limit_bytes` of them.
 
     Raises:
-        ConfigError: the folder cannot be made.
+        ConfigError: the folder cannot be created.
     """
 
     def __init__(self, folder: Path, limit_bytes: float = 20e9) -> None:
@@ -70,7 +80,7 @@ class Cache:
         try:
             self._root.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise ConfigError(f"the cache folder {str(folder)!r} cannot be made: {error}; set A4_CACHE_DIR") from error
+            raise ConfigError(f"cannot create the cache folder {str(folder)!r}: {error}; set A4_CACHE_DIR") from error
 
     def get(self, key: str) -> Answer | None:
         """The answer kept under `key`, or None; a damaged one is removed."""
@@ -79,7 +89,7 @@ class Cache:
             data = path.read_bytes()
         except OSError:
             return None
-        answer = entries.unpack(data)
+        answer = unpack(data)
         if answer is None:
             self.remove(key)
             return None
@@ -88,21 +98,21 @@ class Cache:
         return answer
 
     def put(self, key: str, answer: Answer) -> None:
-        """Keep an answer, unless it is one that a second try may better (blank or cut off).
+        """Keep an answer, unless a second try may improve it (blank or cut off).
 
-        A disk that is full or read-only costs a warning and not the run.
+        A full or read-only disk is a warning.
         """
         if isinstance(answer, ChatAnswer) and (answer.finish_reason == "length" or not answer.text.strip()):
             return
-        data = entries.pack(answer)
+        data = pack(answer)
         path = self._path(key)
         try:
             replace_file(path, data)
         except OSError as error:
-            # Windows refuses to replace a file that another process reads: then the answer is there already.
+            # Windows refuses to replace a file that another process reads; then the answer is already there.
             if not path.exists() and not self._warned:
                 self._warned = True
-                log.warning("answers cannot be kept in the cache at %s: %s", self.folder, error)
+                log.warning("cannot keep answers in the cache at %s: %s", self.folder, error)
             return
         self._grow(len(data))
 
@@ -124,7 +134,7 @@ class Cache:
         return CacheInfo(self.folder, len(sizes), sum(sizes))
 
     def _evict(self) -> None:
-        """Count the answers, remove the longest unused if they are over the limit, and what killed writers left."""
+        """Count the answers, and remove those unused for longest while they are over the limit."""
         found = sorted(self._files())
         total = sum(size for _, size, _ in found)
         goal = total if total <= self._limit else self._limit * KEEP
@@ -146,7 +156,7 @@ class Cache:
         return self._root / key[:2] / f"{key}.entry"
 
     def _files(self) -> Iterator[tuple[float, int, Path]]:
-        """(time of last use, bytes, path) of each answer; what killed writers left is removed on the way."""
+        """(time of last use, bytes, path) of each answer; half-written files of killed processes are removed."""
         now = time.time()
         for folder in sorted(self._root.glob("[0-9a-f][0-9a-f]")):
             with suppress(OSError), os.scandir(folder) as found:
@@ -160,9 +170,126 @@ class Cache:
 
 
 def _removed(path: Path) -> bool:
-    """Remove a file; whether it is gone, for instance because another process was faster."""
+    """Remove a file; whether it is gone, perhaps removed by another process."""
     try:
         path.unlink(missing_ok=True)
     except OSError:
         return False
     return True
+
+
+def key_of(expert: Expert, request: Request) -> str:
+    """The key of what `expert` answers to `request`. Callbacks and fields that are None are not part of it."""
+    asked = {"expert": expert.fingerprint(), "verb": request.verb, "request": request}
+    text = json.dumps(_plain(asked), sort_keys=True, ensure_ascii=False, separators=(",", ":"))
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    from PIL.Image import Image
+
+    if value is None or isinstance(value, (str, int, float)):
+        return value
+    if isinstance(value, Image):
+        return {"image": image_hash(value)}
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        digest = hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()
+        return {"array": digest, "dtype": str(value.dtype), "shape": list(value.shape)}
+    if is_dataclass(value):
+        held = {field.name: getattr(value, field.name) for field in fields(value)}
+        return {name: _plain(item) for name, item in held.items() if item is not None and not callable(item)}
+    if isinstance(value, Mapping):
+        return {str(name): _plain(item) for name, item in cast("Mapping[Any, Any]", value).items()}
+    if isinstance(value, Sequence) and not isinstance(value, bytes):
+        return [_plain(item) for item in cast("Sequence[Any]", value)]
+    return str(value)
+
+
+def pack(answer: Answer) -> bytes:
+    """An answer as bytes; `unpack` gives an equal one."""
+    picture = b""
+    fields: dict[str, Any] = {"kind": type(answer).__name__, "usage": asdict(answer.usage)}
+    if isinstance(answer, ChatAnswer):
+        fields |= {"text": answer.text, "reasoning": answer.reasoning, "finish_reason": answer.finish_reason}
+    elif isinstance(answer, EditAnswer):
+        buffer = io.BytesIO()
+        answer.image.convert("RGB").save(buffer, "PNG", compress_level=1)
+        picture = buffer.getvalue()
+    elif isinstance(answer, Detection):
+        fields |= {
+            "boxes_xyxy": _listed(answer.boxes_xyxy),
+            "points_xy": _listed(answer.points_xy),
+            "scores": None if answer.scores is None else _listed(answer.scores),
+            "points_derived": answer.points_derived,
+            "masks": None if answer.masks is None else [encode_rle(mask) for mask in answer.masks],
+            "masks_shape": None if answer.masks is None else list(answer.masks.shape),
+            "text": answer.text,
+            "cut_off": answer.cut_off,
+        }
+    else:
+        height, width = answer.masks.shape[2:]
+        fields |= {
+            "masks": [encode_rle(mask) for mask in answer.masks.reshape(-1, height, width)],
+            "masks_shape": list(answer.masks.shape),
+            "predicted_iou": _listed(answer.predicted_iou),
+        }
+    body = json.dumps(redact(fields)).encode() + b"\n" + picture
+    return hashlib.sha256(body).hexdigest().encode() + b"\n" + body
+
+
+def unpack(data: bytes) -> Answer | None:
+    """The answer in `data`, None if `pack` did not write it."""
+    checksum, _, body = data.partition(b"\n")
+    if hashlib.sha256(body).hexdigest().encode() != checksum:
+        return None
+    line, _, picture = body.partition(b"\n")
+    try:
+        return _answer(json.loads(line), picture)
+    except (ValueError, KeyError, TypeError, OSError, DataError):
+        return None
+
+
+def _answer(fields: dict[str, Any], picture: bytes) -> Answer | None:
+    usage = Usage(**fields["usage"])
+    match fields["kind"]:
+        case "ChatAnswer":
+            return ChatAnswer(fields["text"], fields["reasoning"], fields["finish_reason"], usage)
+        case "EditAnswer":
+            from PIL import Image
+
+            with Image.open(io.BytesIO(picture)) as image:
+                image.load()
+                return EditAnswer(image.copy(), usage)
+        case "Detection":
+            scores = fields["scores"]
+            return Detection(
+                boxes_xyxy=_array(fields["boxes_xyxy"]),
+                points_xy=_array(fields["points_xy"]),
+                scores=None if scores is None else _array(scores),
+                points_derived=fields["points_derived"],
+                masks=None if fields["masks"] is None else _masks(fields),
+                text=fields["text"],
+                cut_off=fields["cut_off"],
+                usage=usage,
+            )
+        case "Segmentation":
+            return Segmentation(_masks(fields), _array(fields["predicted_iou"]), usage)
+        case _:
+            return None
+
+
+def _listed(array: np.ndarray) -> dict[str, Any]:
+    return {"shape": list(array.shape), "dtype": str(array.dtype), "values": array.ravel().tolist()}
+
+
+def _array(stored: dict[str, Any]) -> np.ndarray:
+    return np.array(stored["values"], dtype=np.dtype(stored["dtype"])).reshape(stored["shape"])
+
+
+def _masks(fields: dict[str, Any]) -> np.ndarray:
+    shape = fields["masks_shape"]
+    if not fields["masks"]:
+        return np.zeros(shape, bool)
+    return np.stack([decode_rle(mask) for mask in fields["masks"]]).reshape(shape)

@@ -1,4 +1,4 @@
-"""One expert's queue: the requests of all samples go in one by one, to the expert in batches, and the answers back.
+"""One expert's queue: requests of all samples come in one by one, and go to the expert in batches.
 
 A sample asks one thing at a time, so a queue never holds more requests than there are samples in flight.
 """
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, cast
 
 from a4agent.engine.retry import Breaker, Pace, fresh
 from a4agent.engine.stats import ExpertStats
-from a4agent.errors import A4Error, OutOfMemory, ProviderError, ProviderTimeout, RateLimited
+from a4agent.errors import A4Error, ProviderError, ProviderTimeout, RateLimited
 from a4agent.protocols import Answer, Expert, Prepares, Request, ask
 
 if TYPE_CHECKING:
@@ -27,8 +27,15 @@ PREPARED_AHEAD = 4
 """How many images a segmenter may have encoded and not yet segmented; it keeps only so many encodings."""
 
 
-class Job:
-    """A request, the `seconds` of service its sample may still have, and the place where its outcome will be."""
+class RunStopped(ProviderError):
+    """The run was stopped before this request was sent."""
+
+    def __init__(self, message: str = "the run was stopped before this request was sent") -> None:
+        super().__init__(message)
+
+
+class QueuedRequest:
+    """A request, the model time that its sample has left in seconds, and the place of its outcome."""
 
     def __init__(self, request: Request, seconds_left: float | None = None) -> None:
         self.request = request
@@ -41,7 +48,7 @@ class Job:
         return self._outcome.done()
 
     def settle(self, outcome: Outcome, seconds: float) -> None:
-        """Give the outcome, after `seconds` of service. The first one counts."""
+        """Set the outcome, after `seconds` of model time. The first one counts."""
         with suppress(InvalidStateError):
             if not self.settled:
                 self.seconds = seconds
@@ -54,7 +61,7 @@ class Job:
 class _Call:
     """One call of the expert: jobs to answer, or else images to prepare. `started` is 0 until it is made."""
 
-    def __init__(self, jobs: list[Job], images: list[Image]) -> None:
+    def __init__(self, jobs: list[QueuedRequest], images: list[Image]) -> None:
         self.jobs = jobs
         self.images = images
         self.started = 0.0
@@ -64,9 +71,9 @@ class _Call:
 class Dispatcher:
     """Keeps up to `expert.concurrency` calls of up to `expert.max_batch` requests in flight, a thread for each.
 
-    They are fewer for a provider that asks to slow down. A call that is not full waits `batch_wait` seconds for
-    more requests. A batch that runs out of memory is halved, here and from then on; one that fails for another
-    reason than the expert being down is asked again one by one, so that a bad request fails alone.
+    There are fewer while a provider asks to slow down. A call that is not full waits `batch_wait` seconds for more
+    requests. A batch that fails for another reason than an unreachable expert is asked again one by one, so that a
+    bad request fails alone. Experts that can run out of memory shrink their batches themselves.
     """
 
     def __init__(self, expert: Expert, breaker: Breaker, stats: ExpertStats, batch_wait: float) -> None:
@@ -77,7 +84,7 @@ class Dispatcher:
         self._max_batch = max(1, expert.max_batch)
         self._slots = max(1, expert.concurrency)
         self._pace = Pace(self._slots)
-        self._jobs: deque[Job] = deque()
+        self._jobs: deque[QueuedRequest] = deque()
         self._to_prepare: dict[int, Image] = {}
         self._prepared: set[int] = set()
         self._calls: set[_Call] = set()
@@ -87,24 +94,24 @@ class Dispatcher:
         self._filling = False
         self._closed = False
 
-    def submit(self, job: Job) -> None:
-        """Queue a job; it fails at once when the run is over."""
+    def submit(self, job: QueuedRequest) -> None:
+        """Queue a request; it fails at once if the run is over."""
         with self._changed:
             if self._closed:
-                job.settle(_stopped(), 0.0)
+                job.settle(RunStopped(), 0.0)
                 return
             self._jobs.append(job)
             self._wake()
 
     def prepare(self, image: Image) -> None:
-        """Let the segmenter encode `image` when it has nothing else to do."""
+        """Let the segmenter encode `image` when it is idle."""
         if isinstance(self.expert, Prepares):
             with self._changed:
                 self._to_prepare[id(image)] = image
                 self._wake()
 
     def forget(self, image: Image) -> None:
-        """`image` needs no preparation any more: it is being segmented, or its sample is over."""
+        """Forget to prepare `image`: it is being segmented, or its sample is over."""
         with self._changed:
             self._to_prepare.pop(id(image), None)
             self._prepared.discard(id(image))
@@ -112,20 +119,20 @@ class Dispatcher:
                 self._wake()
 
     def close(self) -> None:
-        """Let idle threads end; whatever is still queued, or held back by the breaker, fails."""
-        self.breaker.give_up(_stopped())
+        """Let idle threads end; requests still queued, or held back by the breaker, fail."""
+        self.breaker.give_up(RunStopped())
         with self._changed:
             self._closed = True
             for job in self._jobs:
-                job.settle(_stopped(), 0.0)
+                job.settle(RunStopped(), 0.0)
             self._jobs.clear()
             self._to_prepare.clear()
             self._changed.notify_all()
 
     def abandon_overdue(self, limit: float) -> None:
-        """Fail the jobs in service for longer than their samples have left; `limit` is what a sample had in all.
+        """Fail the requests that have taken longer than their samples have left; `limit` is a sample's whole time.
 
-        The thread of a call that is still not back after as long again counts as lost and is replaced, so a
+        The thread of a call that has not returned after twice the limit counts as lost and is replaced, so a
         call that is merely slow never runs beside the next one.
         """
         now = time.monotonic()
@@ -135,8 +142,8 @@ class Dispatcher:
                 for job in call.jobs:
                     if not job.settled and job.seconds_left is not None and seconds > job.seconds_left:
                         error = ProviderTimeout(
-                            f"{self.expert.id} gave no answer within the {limit:g} s of model time that a sample"
-                            " may take (engine.max_sample_seconds)"
+                            f"{self.expert.id} gave no answer within the {limit:g} s of model time that a sample may"
+                            " take; raise engine.max_sample_seconds"
                         )
                         job.settle(error, seconds)
                         self.breaker.failed(error)
@@ -189,7 +196,7 @@ class Dispatcher:
             self._wake()
             return call
 
-    def _next_jobs(self) -> list[Job]:
+    def _next_jobs(self) -> list[QueuedRequest]:
         jobs = [self._jobs.popleft()]
         while self._jobs and len(jobs) < self._max_batch and self._jobs[0].request.verb == jobs[0].request.verb:
             jobs.append(self._jobs.popleft())
@@ -204,7 +211,7 @@ class Dispatcher:
     def _serve(self, call: _Call) -> None:
         if not call.jobs:
             call.started = time.monotonic()
-            with suppress(BaseException):  # the segmentation will meet the same error, and tell
+            with suppress(BaseException):  # the segmentation will meet the same error and report it
                 cast(Prepares, self.expert).prepare(call.images)
             return
         try:
@@ -225,23 +232,19 @@ class Dispatcher:
         try:
             answers = ask(self.expert, requests)
             if len(answers) != len(requests):
-                raise ProviderError(f"{self.expert.id} gave {len(answers)} answers to {len(requests)} requests")
+                raise ProviderError(f"{self.expert.id} returned {len(answers)} answers to {len(requests)} requests")
             return list(answers)
         except BaseException as raised:
-            # What is no Exception (a panic of Rust code, sys.exit) would end the thread, and its samples wait for ever.
+            # Anything but an Exception (a panic in Rust code, sys.exit) would end the thread, and its samples hang.
             error = raised if isinstance(raised, Exception) else ProviderError(f"{self.expert.id} failed: {raised!r}")
             if len(requests) == 1:
                 return [error]
-            if isinstance(error, OutOfMemory):
-                half = len(requests) // 2
-                self._max_batch = min(self._max_batch, half)
-                return self._ask(requests[:half]) + self._ask(requests[half:])
             if isinstance(error, A4Error) and (error.fatal or error.retryable):
                 return [fresh(error) for _ in requests]
             return [outcome for request in requests for outcome in self._ask([request])]
 
     def _judge(self, outcomes: Sequence[Outcome], started: float) -> None:
-        """Tell breaker and pace how the expert does. One answer of a batch is a sign of life."""
+        """Tell the breaker and the pace how the call went. One answer in a batch shows that the expert is up."""
         with self._changed:
             if any(isinstance(outcome, RateLimited) for outcome in outcomes):
                 self._pace.limited(started)
@@ -257,7 +260,3 @@ class Dispatcher:
         error = down[0]
         self.breaker.failed(error if isinstance(error, ProviderError) else ProviderError(repr(error)))
         return None
-
-
-def _stopped() -> ProviderError:
-    return ProviderError("the run was stopped before this was asked")

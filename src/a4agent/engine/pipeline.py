@@ -1,18 +1,22 @@
-"""Many samples at once: a bounded pool of threads takes queries as they come and gives answers as they are ready."""
+"""Many samples at once: a bounded pool of threads takes queries as they come and yields answers as they are ready."""
 
 from __future__ import annotations
 
 import logging
+import os
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
 
 from a4agent.config import EngineSettings
-from a4agent.engine.budget import Budget
-from a4agent.engine.session import Session
+from a4agent.engine.session import EngineSession, Unfinished
 from a4agent.engine.stats import Stats
-from a4agent.engine.stop import Stop
+from a4agent.engine.stopping import Budget, Stop
+from a4agent.errors import BudgetExceeded
 from a4agent.protocols import Agent
 from a4agent.types import Affordance, Given, Query, Trace
 
@@ -21,6 +25,8 @@ log = logging.getLogger("a4agent")
 FINISHING = "finishing the samples in flight; interrupt again to leave at once"
 
 Answered = tuple[int, Query, Affordance]
+ItemT = TypeVar("ItemT")
+ResultT = TypeVar("ResultT")
 
 
 def run(
@@ -34,19 +40,19 @@ def run(
 ) -> Iterator[tuple[Query, Affordance]]:
     """Answer each query once, as the answers are ready or in the queries' order.
 
-    A sample that fails is an answer of status "error" with the query's id. `queries` is read ahead of the answers
-    given by twice the samples in flight at most, also in order. `given` tells what of a query is known already.
-    The first Ctrl-C lets the samples in flight end, and is raised then; a second one is raised at once. `stats`
-    is filled along the way.
+    A sample that fails is an answer of status "error" with the query's id. At most 2 x in_flight queries are read
+    ahead, also in order. `given` returns what is already known for a query; `stats` is filled along the way.
+    The first Ctrl-C (or SIGTERM, SIGHUP) lets the samples in flight finish, but those that wait before a retry, and
+    raises KeyboardInterrupt then; a second one raises it at once.
 
     Raises:
-        UserError: a key, a library or a model is missing, so that every sample would fail. This and the next
-            two are raised when all samples in flight have been given.
+        UserError: a key, library, model or price is missing, so that every sample would fail. This and the next
+            two are raised when the samples in flight have finished.
         ProviderError: an expert was down for longer than `settings.outage_seconds`.
         BudgetExceeded: another sample does not fit into `settings.max_cost` or `max_seconds`.
     """
     remaining = iter(queries)
-    session = Session(agent, settings or EngineSettings(), stats)
+    session = EngineSession(agent, settings or EngineSettings(), stats)
     with Stop() as stop:
         pool = _Pool(session, remaining, given, stop)
         try:
@@ -63,10 +69,14 @@ def run(
 
 
 class _Pool:
-    """Threads that each take a query, answer it and take the next, until there is none or a reason to stop."""
+    """Threads that each take a query, answer it and take the next, until there are none or the run stops."""
 
     def __init__(
-        self, session: Session, queries: Iterator[Query], given: Callable[[Query], Given | None] | None, stop: Stop
+        self,
+        session: EngineSession,
+        queries: Iterator[Query],
+        given: Callable[[Query], Given | None] | None,
+        stop: Stop,
     ) -> None:
         self._session = session
         self._queries = queries
@@ -80,7 +90,7 @@ class _Pool:
         self._results: queue.SimpleQueue[Answered | None] = queue.SimpleQueue()
 
     def answers(self) -> Iterator[Answered]:
-        """All answers, until the last thread has ended. Call `make_room` for each that was given to the caller."""
+        """All answers, until the last thread has ended. Call `make_room` for each one passed on."""
         for number in range(self._session.in_flight):
             threading.Thread(target=self._work, name=f"a4 sample {number}", daemon=True).start()
         running, woken, told = self._session.in_flight, False, False
@@ -88,6 +98,8 @@ class _Pool:
             if self._stop.reason is not None and not woken:
                 woken = True
                 self._wake_all()
+                if not isinstance(self._stop.reason, BudgetExceeded):
+                    self._session.end_waits()
             if self._stop.interrupted and not told:
                 told = True
                 log.warning(FINISHING)
@@ -102,11 +114,11 @@ class _Pool:
             del answered
 
     def make_room(self) -> None:
-        """Another query may be taken."""
+        """Let another query be read."""
         self._room.release()
 
     def close(self) -> None:
-        """Let go of the threads, also when nobody wants the rest of the answers."""
+        """Let the threads end, also when the caller has left."""
         self._closed = True
         self._wake_all()
 
@@ -121,8 +133,10 @@ class _Pool:
         try:
             while self._answer_one():
                 pass
-        except BaseException as error:  # raised to the caller of `run`, which is the one to handle it
-            self._stop.because(error)
+        except Unfinished:
+            pass
+        except BaseException as error:  # raised to the caller of `run`
+            self._stop.request_stop(error)
         finally:
             self._results.put(None)
 
@@ -131,7 +145,7 @@ class _Pool:
         taken = self._take()
         if taken is None:
             return False
-        self._budget.start()  # for a query that is there: a budget used up by the last one has refused nothing
+        self._budget.start()  # after a query was taken: a budget that the last one used up has refused nothing
         trace, started = None, time.monotonic()
         try:
             if self._stopped:
@@ -140,6 +154,8 @@ class _Pool:
             given = self._given(query) if self._given else None
             affordance = self._session.predict(query, given, self._may_retry)
             trace = affordance.trace
+            if self._session.uncounted is not None:
+                self._stop.request_stop(self._session.uncounted)
             self._results.put((number, query, affordance))
             return True
         finally:
@@ -174,3 +190,25 @@ def in_order(answers: Iterator[Answered]) -> Iterator[Answered]:
             wanted += 1
     for number in sorted(waiting):
         yield waiting[number]
+
+
+def ordered_map(
+    function: Callable[[ItemT], ResultT], items: Iterable[ItemT], workers: int | None = None
+) -> Iterator[ResultT]:
+    """`map` on `workers` threads (None: one a core); reads at most twice as many items ahead as there are threads.
+
+    Results come in the items' order; the first exception is raised at its item's turn.
+    """
+    workers = workers or os.cpu_count() or 1
+    ahead: deque[Future[ResultT]] = deque()
+    with ThreadPoolExecutor(workers, thread_name_prefix="a4-map") as pool:
+        try:
+            for item in items:
+                ahead.append(pool.submit(function, item))
+                if len(ahead) >= 2 * workers:
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
+        finally:
+            for future in ahead:
+                future.cancel()

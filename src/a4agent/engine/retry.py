@@ -1,31 +1,34 @@
-"""When to ask again: how long a failed request waits, how many go at once, and when an expert is left alone."""
+"""When to ask again: how long a failed request waits, how many calls go at once, and when to leave an expert alone."""
 
 from __future__ import annotations
 
+import copy
 import random
 import threading
 import time
 
-from a4agent.errors import A4Error, ProviderError, RateLimited
+from a4agent.errors import A4Error, ProviderError
 
 LONGEST_WAIT = 30.0
 FAILURES_TO_OPEN = 10
 
 
-def backoff(failures: int, first: float, error: Exception) -> float:
+def backoff(failures: int, first: float, error: Exception, max_retry_after: float) -> float:
     """Seconds before a request that failed `failures` times is sent again.
 
     `first` seconds, doubled with each failure up to 30, shortened by up to a half at random so that requests
-    that failed together do not come back together; never less than the provider asked for.
+    that failed together do not return together; not less than the provider asked for, up to `max_retry_after`.
     """
     wait = min(first * 2 ** (failures - 1), LONGEST_WAIT) * random.uniform(0.5, 1.0)
-    return max(wait, getattr(error, "retry_after", None) or 0.0)
+    return max(wait, min(getattr(error, "retry_after", None) or 0.0, max_retry_after))
 
 
 def fresh(error: A4Error) -> A4Error:
-    """The same error to be raised in another thread: each has its own traceback and count of attempts."""
-    twin = type(error).__new__(type(error), *error.args)  # not copy.copy: an `__init__` may want other arguments
-    twin.__dict__.update(error.__dict__)
+    """A copy of an error to raise in another thread, with its own traceback and number of attempts."""
+    try:
+        twin = copy.copy(error)
+    except TypeError:  # the `__init__` of another package's error may need more than the message
+        return error
     twin.__cause__ = error.__cause__
     return twin
 
@@ -33,7 +36,7 @@ def fresh(error: A4Error) -> A4Error:
 class Pace:
     """How many calls at once a provider takes, found out by asking: fewer after a rate limit, more while all goes well.
 
-    It drops by three tenths for each round of calls that met the limit, comes back quickly to just below where
+    It drops by three tenths for each round of calls that met the limit, returns quickly to just below where
     that was, and feels its way up from there, by one in five rounds.
     """
 
@@ -78,6 +81,7 @@ class Breaker:
         self._down_since = 0.0
         self._probing = False
         self._given_up: A4Error | None = None
+        self._no_waiting: A4Error | None = None
 
     @property
     def is_open(self) -> bool:
@@ -88,23 +92,22 @@ class Breaker:
         """Wait until a call may be made.
 
         Raises:
-            A4Error: the expert was given up.
+            A4Error: the expert was given up, or waits were ended.
         """
         with self._changed:
             while True:
                 if self._given_up:
                     raise fresh(self._given_up)
-                wait = self._until - time.monotonic()
-                if wait > 0:
-                    self._changed.wait(wait)
-                elif self.is_open and self._probing:
-                    self._changed.wait()
-                else:
+                pause = self._until - time.monotonic()
+                if pause <= 0 and not (self.is_open and self._probing):
                     self._probing = self.is_open
                     return
+                if self._no_waiting:
+                    raise fresh(self._no_waiting)
+                self._changed.wait(pause if pause > 0 else None)
 
     def succeeded(self) -> None:
-        """The expert answered (whatever it said)."""
+        """The expert answered, whatever the answer."""
         with self._changed:
             self._failures, self._pause, self._probing = 0, self._first_pause, False
             self._changed.notify_all()
@@ -114,28 +117,32 @@ class Breaker:
         with self._changed:
             now = time.monotonic()
             self._failures += 1
-            if isinstance(error, RateLimited) and error.retry_after:
-                self._until = max(self._until, now + min(error.retry_after, self._outage_seconds))
             if self._failures == FAILURES_TO_OPEN:
-                self._down_since, self._until = now, max(self._until, now + self._pause)
+                self._down_since, self._until = now, now + self._pause
             elif self.is_open and self._probing:
                 self._pause = min(self._pause * 2, LONGEST_WAIT)
-                self._until, self._probing = max(self._until, now + self._pause), False
+                self._until, self._probing = now + self._pause, False
                 if now - self._down_since >= self._outage_seconds:
                     self.give_up(self._explained(error, now))
             self._changed.notify_all()
 
     def give_up(self, error: A4Error) -> None:
-        """Make no call any more; each attempt raises `error`."""
+        """Make no more calls; each attempt raises `error`."""
         with self._changed:
             self._given_up = self._given_up or error
+            self._changed.notify_all()
+
+    def end_waits(self, error: A4Error) -> None:
+        """Raise `error` for the calls that wait, and for those that would have to."""
+        with self._changed:
+            self._no_waiting = error
             self._changed.notify_all()
 
     def _explained(self, error: ProviderError, now: float) -> A4Error:
         reason = ProviderError(
             f"{self._expert} has failed {self._failures} times in a row for {now - self._down_since:.0f} s, so the run"
-            f" stops here; the last reason: {error}. Run the same command again when it is back (what is done"
-            " stays done), or wait longer with engine.outage_seconds"
+            f" stops here; the last error: {error}. Run the same command again when it is back (finished samples are"
+            " kept), or allow longer outages with engine.outage_seconds"
         )
         reason.fatal = True
         return reason

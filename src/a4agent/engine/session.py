@@ -1,7 +1,7 @@
-"""An agent made fit for many samples at once: its experts stand behind queues, a cache and a breaker.
+"""An agent prepared for many samples at once: its experts stand behind queues, a cache and breakers.
 
-`Session.predict` may be called from any number of threads; stage code stays plain and sequential. A request
-goes: cache -> an identical request in flight -> the expert's queue -> again after a pause, if that may help.
+`EngineSession.predict` may be called from any number of threads; stage code stays plain and sequential. A request
+takes this path: cache, an identical request in flight, the expert's queue, and again after a pause if that may help.
 """
 
 from __future__ import annotations
@@ -14,52 +14,48 @@ from dataclasses import replace
 from typing import Any, cast
 
 from a4agent.config import EngineSettings
-from a4agent.engine.cache import Cache, default_folder
-from a4agent.engine.dispatch import Dispatcher, Job
-from a4agent.engine.keys import Keys
+from a4agent.engine.cache import Cache, default_folder, key_of
+from a4agent.engine.dispatch import Dispatcher, QueuedRequest, RunStopped
 from a4agent.engine.retry import Breaker, backoff, fresh
 from a4agent.engine.stats import Stats
-from a4agent.errors import A4Error, BudgetExceeded, ProviderError
-from a4agent.protocols import (
-    VERBS,
-    Agent,
-    Answer,
-    ChatAnswer,
-    ChatRequest,
-    DetectRequest,
-    EditAnswer,
-    EditRequest,
-    Expert,
-    Request,
-    Segmentation,
-    SegmentRequest,
-    with_usage,
-)
+from a4agent.errors import A4Error, BudgetExceeded, ConfigError, ProviderError
+from a4agent.protocols import VERBS, Agent, Answer, Charges, ChatRequest, Expert, Request, SegmentRequest, with_usage
 from a4agent.redaction import redact
-from a4agent.types import Affordance, Detection, Given, Query, Trace
+from a4agent.types import Affordance, Given, Query, Trace
 
 MOST_IN_FLIGHT = 128
 
 
+class Unfinished(BaseException):
+    """A stop ended a wait of this sample: it has no answer, and a later run asks for it again."""
+
+
 class _Sample(threading.local):
-    """What is known of the sample that a thread is at."""
+    """The sample that a thread is working on."""
 
     seconds_left: float | None = None
     image: Any = None
     chats: tuple[str, ...] = ()
 
 
-class Session:
-    """The experts of one run behind their queues. Close it when the run is over; the agent stays open."""
+class EngineSession:
+    """The experts of one run behind their queues. Close it when the run is over; the agent stays open.
+
+    Raises:
+        ConfigError: `settings.max_cost` is set, and an expert charges for its answers at an unknown price.
+    """
 
     def __init__(self, agent: Agent, settings: EngineSettings, stats: Stats | None = None) -> None:
+        if settings.max_cost is not None:
+            _check_prices(agent)
         self.settings = settings
         self.stats = stats or Stats()
+        self.uncounted: BudgetExceeded | None = None
         folder = settings.cache_dir or default_folder()
         self.cache = None if settings.cache == "off" else Cache(folder, settings.cache_gb * 1e9)
-        self.keys = Keys()
         self.sample = _Sample()
         self.closing = threading.Event()
+        self.no_waiting = threading.Event()
         self.in_flight = settings.in_flight or _enough_in_flight(agent)
         self._queued = [QueuedExpert(expert, self) for expert in agent.experts()]
         twins = {id(queued.expert): queued for queued in self._queued}
@@ -72,10 +68,11 @@ class Session:
     def predict(
         self, query: Query, given: Given | None = None, may_retry: Callable[[Trace], bool] | None = None
     ) -> Affordance:
-        """The answer to a query; whatever is wrong with this sample alone is a status and an error text.
+        """The answer to a query. A failure of this sample alone is returned in its status and error.
 
         Raises:
-            A4Error: what would go wrong with every other sample as well (`error.fatal`).
+            A4Error: every other sample would fail in the same way (`error.fatal`).
+            Unfinished: the run was stopped while this sample waited.
         """
         self.sample.seconds_left = self.settings.max_sample_seconds
         self.sample.chats = ()
@@ -97,10 +94,7 @@ class Session:
         return answer
 
     def missed(self, request: Request) -> None:
-        """A request of this thread's sample has to be asked. The first one lets the image encoding start.
-
-        A sample whose answers are all in the cache needs no encoding.
-        """
+        """Note that the cache lacks the answer to a request of this sample; the first starts the image encoding."""
         if self.sample.image is not None or self._segmenter is None:
             return
         images = request.images[:1] if isinstance(request, ChatRequest) else (request.image,)
@@ -110,14 +104,21 @@ class Session:
                 self._segmenter.dispatcher.prepare(image)
 
     def _forget_chats(self) -> None:
-        """Of a sample that came to nothing because of what a model said, keep no saying: the next run may do better."""
+        """Remove the chat answers of an invalid sample from the cache: asking again may do better."""
         for key in self.sample.chats:
             if self.cache is not None:
                 self.cache.remove(key)
 
+    def end_waits(self) -> None:
+        """Wait no more before retries and for experts that are down; the samples that would are `Unfinished`."""
+        self.no_waiting.set()
+        for queued in self._queued:
+            queued.dispatcher.breaker.end_waits(RunStopped())
+
     def close(self) -> None:
-        """End the threads that are idle; calls that are being made end on their own."""
+        """End the idle threads; calls in flight end on their own."""
         self.closing.set()
+        self.no_waiting.set()
         for queued in self._queued:
             queued.dispatcher.close()
 
@@ -128,9 +129,9 @@ class Session:
 
 
 class QueuedExpert:
-    """Stands in for an expert and looks just like it to a stage."""
+    """Stands in for an expert and has the same methods: a stage cannot tell them apart."""
 
-    def __init__(self, expert: Expert, session: Session) -> None:
+    def __init__(self, expert: Expert, session: EngineSession) -> None:
         settings = session.settings
         self.expert = expert
         self.id = expert.id
@@ -140,6 +141,9 @@ class QueuedExpert:
         breaker = Breaker(expert.id, settings.retry_wait * 2, settings.outage_seconds)
         self.dispatcher = Dispatcher(expert, breaker, self.stats, settings.batch_wait_ms / 1000)
         self._session = session
+        for verb in VERBS.values():
+            if hasattr(expert, verb):
+                setattr(self, verb, self._answer_all)
         self._lock = threading.Lock()
         self._asking: dict[str, Future[Answer | A4Error]] = {}
 
@@ -149,23 +153,14 @@ class QueuedExpert:
     def close(self) -> None:
         return None
 
-    def chat(self, requests: Sequence[ChatRequest]) -> list[ChatAnswer | A4Error]:
-        return cast("list[ChatAnswer | A4Error]", [self._answer(request) for request in requests])
-
-    def edit(self, requests: Sequence[EditRequest]) -> list[EditAnswer | A4Error]:
-        return cast("list[EditAnswer | A4Error]", [self._answer(request) for request in requests])
-
-    def detect(self, requests: Sequence[DetectRequest]) -> list[Detection | A4Error]:
-        return cast("list[Detection | A4Error]", [self._answer(request) for request in requests])
-
-    def segment(self, requests: Sequence[SegmentRequest]) -> list[Segmentation | A4Error]:
-        return cast("list[Segmentation | A4Error]", [self._answer(request) for request in requests])
+    def _answer_all(self, requests: Sequence[Request]) -> list[Answer | A4Error]:
+        return [self._answer(request) for request in requests]
 
     def _answer(self, request: Request) -> Answer | A4Error:
         cache = self._session.cache
         if cache is None:
             return self._asked(request)
-        key = self._session.keys.of(self.expert, request)
+        key = key_of(self.expert, request)
         if isinstance(request, ChatRequest):
             self._session.sample.chats += (key,)
         while True:
@@ -181,7 +176,7 @@ class QueuedExpert:
                 return fresh(answer)
 
     def _first(self, key: str, mine: Future[Answer | A4Error], request: Request, cache: Cache) -> Answer | A4Error:
-        """Look the answer up or ask for it, and tell those that wait for the same."""
+        """Look the answer up or ask for it, and pass it to the threads that wait for the same one."""
         answer: Answer | A4Error = ProviderError("interrupted")
         try:
             started = time.perf_counter()
@@ -207,40 +202,65 @@ class QueuedExpert:
         return answer
 
     def _asked(self, request: Request) -> Answer | A4Error:
-        """Ask until there is an answer, a reason that will not go away, or no try or time left."""
-        session, sample = self._session, self._session.sample
+        """Ask until there is an answer, an error that will not pass, or no try or time left."""
+        session, settings, sample = self._session, self._session.settings, self._session.sample
         session.missed(request)
         if isinstance(request, SegmentRequest):
             self.dispatcher.forget(request.image)
         tries, failures, seconds = 0, 0, 0.0
         while True:
-            job = Job(request, sample.seconds_left)
-            self.dispatcher.submit(job)
-            outcome = job.wait()
-            tries, seconds = tries + 1, seconds + job.seconds
+            queued = QueuedRequest(request, sample.seconds_left)
+            self.dispatcher.submit(queued)
+            outcome = queued.wait()
+            if isinstance(outcome, RunStopped):
+                raise Unfinished
+            tries, seconds = tries + 1, seconds + queued.seconds
             if sample.seconds_left is not None:
-                sample.seconds_left = max(sample.seconds_left - job.seconds, 0.0)
+                sample.seconds_left = max(sample.seconds_left - queued.seconds, 0.0)
             if not isinstance(outcome, Exception):
                 usage = outcome.usage
                 answer = with_usage(cast(Any, outcome), seconds=seconds, attempts=usage.attempts + tries - 1)
                 self.stats.count_answer(answer.usage)
+                self._check_counted(answer)
                 return answer
             failures += not self.dispatcher.breaker.is_open
-            wait = backoff(max(failures, 1), session.settings.retry_wait, outcome)
+            wait = backoff(max(failures, 1), settings.retry_wait, outcome, settings.max_retry_after)
             in_time = sample.seconds_left is None or wait < sample.seconds_left
-            again = isinstance(outcome, A4Error) and outcome.retryable and failures <= session.settings.retries
-            if not again or not in_time or session.closing.is_set():
-                self.stats.count_failure(again=False)
+            again = isinstance(outcome, A4Error) and outcome.retryable and failures <= settings.retries
+            if not again or not in_time:
+                self.stats.count_failure(getattr(outcome, "usage", None))
                 return _final(self.id, outcome, tries)
-            self.stats.count_failure(again=True)
-            session.closing.wait(wait)
+            self.stats.count_retry()
+            if session.no_waiting.wait(wait):
+                raise Unfinished
             seconds += wait
             if sample.seconds_left is not None:
                 sample.seconds_left -= wait
 
+    def _check_counted(self, answer: Answer) -> None:
+        """Let the run end if it has a limit of cost and this expert charges an unknown amount."""
+        if (
+            self._session.settings.max_cost is not None
+            and isinstance(self.expert, Charges)
+            and answer.usage.cost is None
+        ):
+            self._session.uncounted = BudgetExceeded(
+                f"cannot keep to engine.max_cost = {self._session.settings.max_cost:g}: {self.id} answered without"
+                " its token usage, so the cost is unknown; run again without the limit to continue"
+            )
+
+
+def _check_prices(agent: Agent) -> None:
+    for expert in agent.experts():
+        if isinstance(expert, Charges) and not expert.price_known:
+            raise ConfigError(
+                f"cannot keep to engine.max_cost: the price of {expert.id} is unknown; set its `price`, such as"
+                " {input = 2.5, output = 10.0} in dollars per million tokens (0.0 if it is free), or remove the limit"
+            )
+
 
 def _final(expert: str, error: Exception, tries: int) -> A4Error:
-    """The error that ends a request, with its number of attempts for the trace."""
+    """The error that ends a request, with the number of attempts for the trace."""
     if isinstance(error, A4Error):
         final = fresh(error)
     else:
@@ -257,8 +277,8 @@ def _role(expert: Expert) -> str:
 def _enough_in_flight(agent: Agent) -> int:
     """Samples that keep the slowest expert busy.
 
-    No expert but the slowest is busy all the time, so on average no more than the sum of what the experts can
-    hold are being served (Little's law). The rest waits in front of the slowest, to bridge the ups and downs.
+    Only the slowest expert is busy all the time, so on average the experts serve no more requests than the sum of
+    what they can hold (Little's law). The rest waits in front of the slowest, to bridge fluctuations.
     """
     capacities = [max(1, expert.max_batch) * max(1, expert.concurrency) for expert in agent.experts()]
     return min(sum(capacities) + max(capacities) + 2, MOST_IN_FLIGHT)

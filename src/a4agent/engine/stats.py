@@ -1,4 +1,4 @@
-"""What a run did: calls made and saved per expert, samples by status, seconds, dollars."""
+"""What a run did: calls made and saved by each expert, samples by status, seconds and dollars."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass, field
 
-from a4agent.types import Affordance, Trace, Usage
+from a4agent.types import Affordance, Usage
 
 
 @dataclass
@@ -15,7 +15,7 @@ class ExpertStats:
     """One expert's share. `asked` requests were sent in `batches` calls, `saved` ones answered without a call.
 
     `seconds` is the sum over calls; `retries` counts requests sent again, `failures` those given up. `cost` is in
-    US dollars, `unpriced` counts answers without a price.
+    US dollars; `unpriced` counts answers of unknown cost.
     """
 
     role: str
@@ -30,8 +30,8 @@ class ExpertStats:
     unpriced: int = 0
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False, compare=False)
 
-    def words(self) -> str:
-        """ "200 asked in 25 calls, 800 saved, 3 retried, 41.6 s, $0.3700"; what did not happen is left out."""
+    def summary(self) -> str:
+        """ "200 asked in 25 calls, 800 saved, 3 retried, 41.6 s, $0.3700", without the counts that are zero."""
         parts = [f"{self.asked} asked in {self.batches} calls"] if self.asked else []
         counts = {"saved": self.saved, "retried": self.retries, "failed": self.failures}
         parts += [f"{count} {name}" for name, count in counts.items() if count]
@@ -54,14 +54,19 @@ class ExpertStats:
             else:
                 self.cost += usage.cost
 
-    def count_failure(self, *, again: bool) -> None:
+    def count_retry(self) -> None:
         with self._lock:
-            self.retries += again
-            self.failures += not again
+            self.retries += 1
+
+    def count_failure(self, usage: Usage | None) -> None:
+        """Count a request given up; `usage` is that of an answer which was paid for but cannot be used."""
+        with self._lock:
+            self.failures += 1
+            self.cost += (usage and usage.cost) or 0.0
 
 
 class Stats:
-    """Filled by `engine.run(..., stats=stats)` while it goes on, and complete when it is over."""
+    """Filled by `engine.run(..., stats=stats)` as it runs, and complete when it is over."""
 
     def __init__(self) -> None:
         self.experts: dict[str, ExpertStats] = {}
@@ -76,12 +81,12 @@ class Stats:
 
     @property
     def saved(self) -> int:
-        """Requests answered from the cache or by an identical one in flight."""
+        """Requests answered by the cache or an identical request in flight."""
         return sum(expert.saved for expert in self.experts.values())
 
     @property
     def cost(self) -> float:
-        """US dollars, as far as prices are known."""
+        """US dollars, where prices are known."""
         return sum(expert.cost for expert in self.experts.values())
 
     @property
@@ -97,17 +102,6 @@ class Stats:
         with self._lock:
             self.samples[affordance.status] += 1
 
-    def count_trace(self, trace: Trace) -> None:
-        """Count the calls of a sample that was answered elsewhere."""
-        for step in trace.steps:
-            expert = self.of(step.role, step.expert)
-            if not step.cached:
-                expert.count_call(step.attempts, step.seconds)
-                expert.retries += step.attempts - 1
-                expert.failures += bool(step.error)
-            if not step.error:
-                expert.count_answer(Usage(cached=step.cached, cost=step.cost))
-
     def lines(self) -> list[str]:
-        """For people: one line for each expert that had something to do."""
-        return [f"{e.role:9} {e.id}: {e.words()}" for e in self.experts.values() if e.asked or e.saved]
+        """One line for each expert that was used, for people."""
+        return [f"{e.role:9} {e.id}: {e.summary()}" for e in self.experts.values() if e.asked or e.saved]

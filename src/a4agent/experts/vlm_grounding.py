@@ -22,7 +22,7 @@ from a4agent.experts import registry
 from a4agent.experts.coordinates import THOUSAND, CoordinateSystem, resized, to_pixels
 from a4agent.experts.grounding_answer import Found, read_boxes, read_objects
 from a4agent.files import read_package_toml
-from a4agent.protocols import ChatAnswer, ChatRequest, DetectRequest, ExpertBase, Role, VisionLanguageModel
+from a4agent.protocols import Charges, ChatAnswer, ChatRequest, DetectRequest, ExpertBase, Role, VisionLanguageModel
 from a4agent.types import Detection
 
 if TYPE_CHECKING:
@@ -202,6 +202,8 @@ class VlmDetector(ExpertBase):
         )
         self.dialect = dialect
         self.vlm = vlm
+        if isinstance(vlm, Charges):
+            self.price_known = vlm.price_known
         self._max_tokens = max_tokens
         shrinks = vlm.fingerprint().get("settings", {})
         self._limits = {name: int(shrinks.get(name) or 0) for name in ("max_side", "max_pixels")}
@@ -239,11 +241,13 @@ class VlmDetector(ExpertBase):
         try:
             found = self.dialect.read(answer.text)
         except UnreadableAnswer as error:
-            if answer.finish_reason != "length":
-                return error
-            return TruncatedAnswer(
-                f"the answer was cut off after {self._max_tokens} tokens; raise the detector's setting max_tokens"
-            )
+            failure: UnreadableAnswer | TruncatedAnswer = error
+            if answer.finish_reason == "length":
+                failure = TruncatedAnswer(
+                    f"the answer was cut off after {self._max_tokens} tokens; raise the detector's setting max_tokens"
+                )
+            failure.usage = answer.usage
+            return failure
         system = self.dialect.system(sent_wh)
         boxes = to_pixels(np.reshape(found.boxes, (-1, 4)), system, size_wh)
         points = to_pixels(np.reshape(found.points, (-1, 2)), system, size_wh)

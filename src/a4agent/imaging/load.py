@@ -7,6 +7,7 @@ import io
 import os
 import threading
 import warnings
+import weakref
 from collections.abc import Generator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -28,6 +29,7 @@ FORMATS = ("JPEG", "PNG", "BMP", "GIF", "PPM", "WEBP", "TIFF")
 ANSWER_PICTURES = ("mask.png", "overlay.png", "imagination.png")
 """What a saved answer may have beside its affordance.json."""
 _TURN = threading.Lock()
+_HASHES: dict[int, tuple[weakref.ref[Image], str]] = {}
 
 
 class TooManyPixels(InputError):
@@ -197,7 +199,19 @@ def _to_8_bit(samples: np.ndarray) -> np.ndarray:
 
 
 def image_hash(image: Image) -> str:
-    """A sha256 over size and pixels: the same picture has the same name, whatever file it came from."""
+    """A sha256 over size and pixels: the same picture has the same name, whatever file it came from.
+
+    Computed once for an image object, which counts as unchanging.
+    """
+    known = _HASHES.get(id(image))
+    if known is not None and known[0]() is image:
+        return known[1]
+    number, name = id(image), _hash_pixels(image)
+    _HASHES[number] = (weakref.ref(image, lambda _: _HASHES.pop(number, None)), name)
+    return name
+
+
+def _hash_pixels(image: Image) -> str:
     digest = hashlib.sha256(f"{image.mode} {image.size} ".encode())
     digest.update(image.tobytes())
     return digest.hexdigest()

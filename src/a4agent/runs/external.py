@@ -17,7 +17,7 @@ import numpy as np
 from a4agent import metrics
 from a4agent.benchmarks.base import Benchmark, Sample
 from a4agent.benchmarks.predictions import Predictions
-from a4agent.engine.threads import ordered_map
+from a4agent.engine.pipeline import ordered_map
 from a4agent.errors import DataError, InputError
 from a4agent.imaging.load import load_image
 from a4agent.metrics import Row, measure

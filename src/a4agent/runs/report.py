@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from a4agent import metrics
-from a4agent.engine.threads import ordered_map
+from a4agent.engine.pipeline import ordered_map
 from a4agent.errors import DataError
 from a4agent.imaging.masks import decode_rle
 from a4agent.redaction import redact

@@ -25,7 +25,7 @@ from a4agent.protocols import (
     VisionLanguageModel,
     ask,
 )
-from a4agent.types import Detection, Step, Trace
+from a4agent.types import Detection, Step, Trace, Usage
 
 KINDS: dict[str, type[Answer]] = {
     "chat": ChatAnswer,
@@ -82,8 +82,18 @@ class Recorder:
             text = _text_of(_checked(answer, request))
         except Exception as error:
             seconds = time.perf_counter() - started
-            attempts = int(getattr(error, "attempts", 1))
-            self._steps.append(replace(step, seconds=seconds, attempts=attempts, error=_told(error)))
+            spent = getattr(error, "usage", None) or Usage()
+            self._steps.append(
+                replace(
+                    step,
+                    seconds=seconds,
+                    attempts=int(getattr(error, "attempts", 1)),
+                    tokens_in=spent.tokens_in,
+                    tokens_out=spent.tokens_out,
+                    cost=spent.cost,
+                    error=_told(error),
+                )
+            )
             if isinstance(error, A4Error):
                 raise
             raise ProviderError(f"{expert.id} failed on a {request.verb} request: {error!r}") from error

@@ -45,6 +45,7 @@ class RemoteExpert(ExpertBase):
         self._connection = connection
         listed = price_of(connection.model) if connection.server.priced else None
         self._price = price_from_setting(price) if price else listed
+        self.price_known = self._price is not None
 
     def close(self) -> None:
         self._connection.close()
@@ -68,12 +69,12 @@ class RemoteExpert(ExpertBase):
         return choices[0]
 
     def _usage(self, answer: Any, sent: Sent) -> Usage:
-        """Tokens and dollars of an answer; servers may leave tokens out, and then no price is known."""
+        """Tokens and dollars of an answer. Without the server's token counts the cost is unknown, unless it is free."""
         usage = getattr(answer, "usage", None)
         tokens_in = _count(usage, "prompt_tokens", "input_tokens")
         tokens_out = _count(usage, "completion_tokens", "output_tokens")
         cost = None
-        if self._price is not None and usage is not None:
+        if self._price is not None and (usage is not None or self._price.is_free):
             cached_in = _count(getattr(usage, "prompt_tokens_details", None), "cached_tokens")
             image_in = _count(getattr(usage, "input_tokens_details", None), "image_tokens")
             cost = self._price.cost(tokens_in=tokens_in, tokens_out=tokens_out, cached_in=cached_in, image_in=image_in)

@@ -194,7 +194,9 @@ class OpenAIVLM(RemoteExpert):
         choice = self._first_choice(completion)
         refusal = getattr(choice.message, "refusal", None)
         if refusal or choice.finish_reason == "content_filter":
-            raise RefusedAnswer(f"{self._connection} declined: {refusal or 'stopped by its content filter'}")
+            error = RefusedAnswer(f"{self._connection} declined: {refusal or 'stopped by its content filter'}")
+            error.usage = self._usage(completion, sent)
+            raise error
         kept = (getattr(choice.message, name, None) for name in self._connection.server.reasoning_fields)
         return ChatAnswer(
             text=text_of(choice.message.content),

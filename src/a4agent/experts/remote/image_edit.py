@@ -116,14 +116,21 @@ class OpenAIEditor(RemoteExpert):
                 **self._wanted,
             )
         )
+        try:
+            image = self._picture(result)
+        except UnreadableAnswer as error:
+            error.usage = self._usage(result, sent)
+            raise
+        if request.on_step is not None:
+            request.on_step(1, 1)
+        return EditAnswer(image, self._usage(result, sent))
+
+    def _picture(self, result: Any) -> Image:
         data = getattr(result, "data", None)
         encoded = getattr(data[0], "b64_json", None) if isinstance(data, list) and data else None
         if not isinstance(encoded, str) or not encoded:
             raise UnreadableAnswer(f"{self._connection} sent no picture (data[0].b64_json is missing)")
-        image = self._decode(encoded)
-        if request.on_step is not None:
-            request.on_step(1, 1)
-        return EditAnswer(image, self._usage(result, sent))
+        return self._decode(encoded)
 
     def _decode(self, encoded: str) -> Image:
         from PIL import Image

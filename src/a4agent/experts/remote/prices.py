@@ -28,6 +28,10 @@ class Price:
     as_of: str = ""
     source: str = ""
 
+    @property
+    def is_free(self) -> bool:
+        return not any((self.input, self.output, self.cached_input, self.image_input))
+
     def cost(self, *, tokens_in: int, tokens_out: int, cached_in: int = 0, image_in: int = 0) -> float:
         """Dollars of one call. `tokens_in` counts all input tokens, the cached and image ones included."""
         cached = self.input if self.cached_input is None else self.cached_input

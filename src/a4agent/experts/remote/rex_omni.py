@@ -116,7 +116,8 @@ class RexOmniServer(RemoteExpert):
     ) -> None:
         settings = {"model": connection.model, "points": points, "max_tokens": max_tokens, **encoder.settings}
         address = f"rex-omni-server:{connection.base_url}"
-        super().__init__(address, connection, settings=settings, concurrency=concurrency)
+        free = {"input": 0.0, "output": 0.0}  # a server of your own
+        super().__init__(address, connection, settings=settings, concurrency=concurrency, price=free)
         self._encoder = encoder
         self._points = points
         self._max_tokens = max_tokens
@@ -190,5 +191,6 @@ def _sum(one: Usage, two: Usage) -> Usage:
         attempts=max(one.attempts, two.attempts),
         tokens_in=one.tokens_in + two.tokens_in,
         tokens_out=one.tokens_out + two.tokens_out,
+        cost=0.0,
         request_id=" ".join(filter(None, (one.request_id, two.request_id))),
     )

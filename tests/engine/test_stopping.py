@@ -1,4 +1,4 @@
-"""The first Ctrl-C is a reason to stop, the second is raised; what was there before is put back."""
+"""A run begins no more samples after a signal, and only samples that fit its budget."""
 
 from __future__ import annotations
 
@@ -15,13 +15,124 @@ import pytest
 
 from a4agent import engine
 from a4agent.agent import A4Agent
-from a4agent.engine.budget import UNTIL_PRICED
-from a4agent.engine.stop import Stop
+from a4agent.engine.stopping import UNTIL_PRICED, Budget, Stop
+from a4agent.errors import BudgetExceeded
 from a4agent.protocols import ChatAnswer, ChatRequest
 from a4agent.stages.spotter import Spotter
 from a4agent.stages.thinker import Thinker
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, output
-from a4agent.types import Query, Usage
+from a4agent.types import Query, Step, Trace, Usage
+
+
+def cost(dollars: float, *, cached: bool = False) -> Trace:
+    return Trace((Step("thinker", "vlm", "x", cost=dollars, cached=cached),))
+
+
+def test_without_limits_everything_starts() -> None:
+    budget = Budget()
+    for _ in range(1000):
+        budget.start()
+
+
+def test_few_start_until_the_first_one_ends_and_then_what_fits() -> None:
+    budget = Budget(max_cost=1.0)
+    started = threading.Semaphore(0)
+
+    def start() -> None:
+        budget.start()
+        started.release()
+
+    threads = [threading.Thread(target=start, daemon=True) for _ in range(14)]
+    for thread in threads:
+        thread.start()
+    time.sleep(0.1)
+    running = 0
+    while started.acquire(blocking=False):
+        running += 1
+    assert running == UNTIL_PRICED
+    budget.finish(cost(0.1), 1.0)
+    time.sleep(0.1)
+    while started.acquire(blocking=False):
+        running += 1
+    assert running == 10  # one has ended, nine run: all of the dollar is spoken for
+    for _ in range(9):
+        budget.finish(cost(0.05), 1.0)
+    time.sleep(0.1)
+    while started.acquire(blocking=False):
+        running += 1
+    assert running == 10 + 4  # 0.55 is spent, and the dearest took 0.1
+    for _ in range(4):
+        budget.finish(cost(0.1), 1.0)
+    with pytest.raises(BudgetExceeded, match=r"max_cost = 1 .*0\.9500 spent on 14 samples"):
+        budget.start()
+
+
+def test_the_time_of_a_sample_follows_the_latest_ones_by_a_tenth(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr("a4agent.engine.stopping.time.monotonic", lambda: clock[0])
+    budget = Budget(max_seconds=100.0)
+    for seconds in [1.0] * 20 + [11.0]:
+        budget.start()
+        budget.finish(Trace(), seconds)
+    for now, fits in ((97.9, True), (98.1, False)):  # 1 + a tenth of 10 seconds
+        clock[0] = now
+        if fits:
+            budget.start()
+        else:
+            with pytest.raises(BudgetExceeded, match=r"another takes 2\.0 s"):
+                budget.start()
+
+
+def test_a_retry_is_expected_to_cost_what_its_sample_has() -> None:
+    budget = Budget(max_cost=1.0)
+    budget.start()
+    assert budget.may_retry(cost(0.5))  # 0.5 more, at most 1.0 in all
+    assert not budget.may_retry(cost(0.6))
+    budget.finish(cost(1.0), 1.0)
+    free = Budget(max_cost=0.5)
+    free.start()
+    assert free.may_retry(cost(0.4, cached=True))
+
+
+def test_a_retry_leaves_room_for_the_samples_beside_it() -> None:
+    budget = Budget(max_cost=1.0)
+    budget.start()
+    budget.start()
+    assert not budget.may_retry(cost(0.3))  # two samples of 0.6
+    assert budget.may_retry(cost(0.25))
+    assert budget.may_retry(cost(0.25))
+    assert not budget.may_retry(cost(0.26))
+
+
+def test_no_retry_ends_late() -> None:
+    slow = Trace((Step("thinker", "vlm", "x", seconds=30.0),))
+    assert not Budget(max_seconds=20.0).may_retry(slow)
+    assert Budget(max_seconds=40.0).may_retry(slow)
+
+
+def test_answers_from_the_cache_tell_nothing_about_the_price() -> None:
+    budget = Budget(max_cost=1.0)
+    for _ in range(100):
+        budget.start()
+        budget.finish(cost(0.5, cached=True), 1.0)
+    budget.start()
+    budget.finish(cost(0.9), 1.0)
+    with pytest.raises(BudgetExceeded):
+        budget.start()
+
+
+def test_no_money_starts_nothing() -> None:
+    with pytest.raises(BudgetExceeded):
+        Budget(max_cost=0.0).start()
+
+
+def test_a_sample_that_would_end_late_does_not_start() -> None:
+    budget = Budget(max_seconds=10.0)
+    budget.start()
+    budget.finish(cost(0.0), 60.0)
+    with pytest.raises(BudgetExceeded, match=r"another takes 60"):
+        budget.start()
+
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 
@@ -29,8 +140,8 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSI
 def test_the_first_reason_counts() -> None:
     stop = Stop()
     assert stop.reason is None
-    stop.because(ValueError("first"))
-    stop.because(ValueError("second"))
+    stop.request_stop(ValueError("first"))
+    stop.request_stop(ValueError("second"))
     assert str(stop.reason) == "first"
 
 
@@ -46,10 +157,29 @@ def test_the_first_interrupt_is_held_and_the_second_raised() -> None:
 
 def test_an_interrupt_of_a_run_that_stops_for_another_reason_is_the_first_all_the_same() -> None:
     with Stop() as stop:
-        stop.because(ValueError("the key is refused"))
+        stop.request_stop(ValueError("the key is refused"))
         signal.raise_signal(signal.SIGINT)
         assert stop.interrupted
         assert isinstance(stop.reason, ValueError)
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_other_requests_to_end_are_as_good_as_an_interrupt(name: str) -> None:
+    number = getattr(signal, name)
+    before = signal.signal(number, signal.SIG_DFL)
+    try:
+        with Stop() as stop:
+            signal.raise_signal(number)
+            assert isinstance(stop.reason, KeyboardInterrupt)
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(number)
+        assert signal.getsignal(number) is signal.SIG_DFL
+        signal.signal(number, signal.SIG_IGN)  # as nohup does
+        with Stop() as stop:
+            signal.raise_signal(number)
+        assert stop.reason is None
+    finally:
+        signal.signal(number, before)
 
 
 def test_a_handler_of_the_program_s_own_is_left_alone() -> None:
