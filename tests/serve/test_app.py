@@ -218,6 +218,19 @@ def test_a_file_of_the_server_or_an_address_is_not_taken_for_an_upload(url: str,
     assert re.search("not uploaded by a user|fetches no addresses", event["output"]["error"])
 
 
+@pytest.mark.parametrize("path", ["/etc/passwd", "/dev/zero", "/tmp/../etc/hostname"])
+def test_a_forged_upload_without_its_mark_reads_no_file_of_the_server(url: str, path: str) -> None:
+    event = call_queue(url, [{"path": path}, "open it", "offline", True])
+    assert "Upload the photo on this page" in json.dumps(event)
+
+
+def test_a_visitor_cannot_name_a_profile_file(url: str, tmp_path: Path) -> None:
+    forged = tmp_path / "forged.toml"
+    forged.write_text("")
+    event = call_queue(url, [{"path": str(PHOTO)}, "open it", str(forged), True])
+    assert "unknown profile" in json.dumps(event).lower()
+
+
 def test_another_sites_page_cannot_use_it_through_the_browser(url: str) -> None:
     for headers in ({"Host": "evil.example"}, {"Origin": "https://evil.example"}):
         with pytest.raises(urllib.error.HTTPError) as caught:

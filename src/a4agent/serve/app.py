@@ -7,9 +7,13 @@ Built with gradio. The predictions of all visitors are one queue, one at a time;
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
+import tempfile
 from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +92,9 @@ def create_page(
         MissingExtraError: gradio is not installed.
     """
     gr = require("gradio", extra="app")
-    profiles = Profiles(settings, load, check)
+    names = sorted({*profile_names(), profile}, key=lambda name: (name != profile, name))
+    profiles = Profiles(settings, load, check, names)
+    os.environ.setdefault("GRADIO_TEMP_DIR", _upload_folder())
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
@@ -124,8 +130,9 @@ def create_page(
 
 def _blocks(gr: Any, profiles: Profiles, profile: str) -> Any:
     """The layout, and what happens when."""
-    names = sorted({*profile_names(), profile}, key=lambda name: (name != profile, name))
-    rows = [(name, profiles.summary(name), [(m.what, m.fix) for m in profiles.missing(name)]) for name in names]
+    rows = [
+        (name, profiles.summary(name), [(m.what, m.fix) for m in profiles.missing(name)]) for name in profiles.names
+    ]
     with gr.Blocks(title="a4agent: where do I act?", analytics_enabled=False, delete_cache=(600, 3600)) as blocks:
         gr.HTML(HEAD)
         with gr.Row(elem_classes="a4-columns"):
@@ -191,6 +198,14 @@ def _blocks(gr: Any, profiles: Profiles, profile: str) -> Any:
 def _path(payload: Any) -> str | None:
     """The uploaded file as it came: gradio would open it here, where an error is no sentence."""
     return payload.path if payload else None
+
+
+@lru_cache(maxsize=1)
+def _upload_folder() -> str:
+    """A folder of this process alone for uploads; gradio's default is shared by all users of the machine."""
+    folder = tempfile.mkdtemp(prefix="a4-uploads-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return os.path.realpath(folder)
 
 
 def _no_addresses(gr: Any, move: Callable[[Any], Awaitable[Any]]) -> Callable[[Any], Awaitable[Any]]:

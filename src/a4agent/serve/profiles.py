@@ -7,25 +7,37 @@ from collections.abc import Callable, Sequence
 
 from a4agent.agent import A4Agent
 from a4agent.config import Settings
-from a4agent.errors import A4Error
+from a4agent.errors import A4Error, UnknownNameError
 from a4agent.requirements import Missing
 
 
 class Profiles:
-    """What there is to choose from. One agent is in memory at a time."""
+    """The profiles a visitor may choose. One agent is in memory at a time."""
 
     def __init__(
         self,
         settings: Callable[[str], Settings],
         load: Callable[[Settings], A4Agent],
         check: Callable[[Settings], Sequence[Missing]],
+        names: Sequence[str],
     ) -> None:
-        self._settings = settings
+        self.names = tuple(names)
+        self._read_settings = settings
         self._load = load
         self._check = check
         self._lock = threading.Lock()
         self._loaded = ""
         self._agent: A4Agent | None = None
+
+    def settings(self, name: str) -> Settings:
+        """The settings of a listed profile. A visitor's name is never a path: a TOML file names keys and addresses.
+
+        Raises:
+            UnknownNameError: the name is not in the list.
+        """
+        if name not in self.names:
+            raise UnknownNameError(f"unknown profile {name!r}; choose one of {', '.join(self.names)}")
+        return self._read_settings(name)
 
     def agent(self, name: str) -> A4Agent:
         """The agent of a profile.
@@ -36,7 +48,7 @@ class Profiles:
         with self._lock:
             if self._agent is None or name != self._loaded:
                 self._let_go()
-                self._agent = self._load(self._settings(name))
+                self._agent = self._load(self.settings(name))
                 self._loaded = name
             return self._agent
 
@@ -48,7 +60,7 @@ class Profiles:
     def summary(self, name: str) -> str:
         """One line about a profile."""
         try:
-            info = self._settings(name).profile
+            info = self.settings(name).profile
         except A4Error:
             return "its settings cannot be read"
         return " · ".join(part for part in (info.summary, info.memory) if part)
@@ -56,14 +68,14 @@ class Profiles:
     def dreams(self, name: str) -> bool:
         """Whether a profile has a Dreamer."""
         try:
-            return self._settings(name).dreamer is not None
+            return self.settings(name).dreamer is not None
         except A4Error:
             return False
 
     def missing(self, name: str) -> Sequence[Missing]:
         """What stands between this machine and a profile."""
         try:
-            return self._check(self._settings(name))
+            return self._check(self.settings(name))
         except A4Error as error:
             return [Missing(str(error), "a4 doctor")]
 

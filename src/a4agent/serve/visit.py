@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+import stat
 import tempfile
 import time
 from collections.abc import Generator
@@ -21,6 +23,8 @@ from a4agent.types import Affordance
 log = logging.getLogger(__name__)
 
 MOST_PIXELS = 40_000_000
+MAX_UPLOAD_BYTES = 32 * 2**20
+EXAMPLES_FOLDER = Path(__file__).resolve().parent / "examples"
 FILES = ("affordance.json", "overlay.png", "mask.png")
 Update = tuple[Any, ...]
 """Message, picture, slider, stages, timings and the three files, as the page's components take them."""
@@ -65,9 +69,41 @@ def _picture(photo: str | None, instruction: str) -> Any:
     if not (instruction or "").strip():
         raise InputError("Say what you want to do, for instance “open the top drawer”.")
     try:
-        return load_image(Path(photo).read_bytes(), max_pixels=MOST_PIXELS)
+        return load_image(read_upload(photo), max_pixels=MOST_PIXELS)
     except InputError as error:
         raise InputError(f"This photo cannot be used: {error}") from error
+
+
+def read_upload(path: str) -> bytes:
+    """The bytes of a photo that a visitor uploaded, or of an example.
+
+    gradio checks paths only in payloads that declare themselves files, so that a forged one names any file of the
+    server. The path is resolved first, and the file is opened without following a link or waiting for a pipe.
+
+    Raises:
+        InputError: the path leads elsewhere, or to something other than a regular file of at most MAX_UPLOAD_BYTES.
+    """
+    from gradio.utils import get_upload_folder
+
+    refused = InputError("Upload the photo on this page; files of the server are not read.")
+    folders = (os.path.realpath(get_upload_folder()), str(EXAMPLES_FOLDER))
+    try:
+        real = Path(os.path.realpath(path))
+        if not any(real.is_relative_to(folder) for folder in folders):
+            raise refused
+        descriptor = os.open(real, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except (OSError, ValueError) as error:
+        raise refused from error
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise refused
+        if status.st_size > MAX_UPLOAD_BYTES:
+            raise InputError(f"This photo is larger than {MAX_UPLOAD_BYTES // 2**20} MB; upload a smaller one.")
+        with open(descriptor, "rb", closefd=False) as file:
+            return file.read(MAX_UPLOAD_BYTES)
+    finally:
+        os.close(descriptor)
 
 
 def _finished(progress: Progress, affordance: Affordance) -> Generator[Update]:
