@@ -82,7 +82,7 @@ class A4Agent:
             v.accept,
             v.retries,
             load_calibration(v.calibration) if v.calibration else None,
-            built.get("verifier.vlm"),
+            built.get("verifier.vlm") or built.get("thinker.vlm"),
             built.get("verifier.detector"),
             built.get("verifier.segmenter"),
             v.prompts,

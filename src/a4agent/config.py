@@ -95,7 +95,10 @@ class SpotterSettings(Table):
 
 
 class VerifierSettings(Table):
-    """What is looked at after the Spotter, and by which experts; see `a4agent.stages.verifier`."""
+    """What is looked at after the Spotter, and by which experts; see `a4agent.stages.verifier`.
+
+    Without a `vlm` of its own the Verifier asks the Thinker's.
+    """
 
     signals: list[str] = ["geometry"]
     accept: float = Field(default=0.5, ge=0, le=1)
