@@ -21,6 +21,34 @@ from a4agent.offline.profile import Layout
 
 T = TypeVar("T")
 
+COLOURS = (
+    "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "black", "white", "grey", "beige",
+    "silver", "gold", "transparent",
+)  # fmt: skip
+SIDES = ("left", "right", "upper", "lower", "middle", "front", "back")
+SIZES = ("small", "large", "long", "short")
+
+QUALIFIERS = {
+    **{name: ("colour", name) for name in COLOURS},
+    **{name: ("side", name) for name in SIDES},
+    **{name: ("size", name) for name in SIZES},
+    "gray": ("colour", "grey"), "violet": ("colour", "purple"), "golden": ("colour", "gold"),
+    "clear": ("colour", "transparent"), "steel": ("colour", "silver"), "metal": ("colour", "silver"),
+    "cream": ("colour", "beige"), "tan": ("colour", "beige"), "turquoise": ("colour", "blue"),
+    "lefthand": ("side", "left"), "left-hand": ("side", "left"), "leftmost": ("side", "left"),
+    "righthand": ("side", "right"), "right-hand": ("side", "right"), "rightmost": ("side", "right"),
+    "top": ("side", "upper"), "topmost": ("side", "upper"), "uppermost": ("side", "upper"), "higher": ("side", "upper"),
+    "bottom": ("side", "lower"), "lowest": ("side", "lower"), "bottommost": ("side", "lower"),
+    "central": ("side", "middle"), "center": ("side", "middle"), "centre": ("side", "middle"),
+    "nearest": ("side", "front"), "closest": ("side", "front"), "rear": ("side", "back"),
+    "little": ("size", "small"), "tiny": ("size", "small"), "smaller": ("size", "small"), "smallest": ("size", "small"),
+    "big": ("size", "large"), "bigger": ("size", "large"), "biggest": ("size", "large"), "larger": ("size", "large"),
+    "largest": ("size", "large"), "huge": ("size", "large"), "tall": ("size", "long"), "taller": ("size", "long"),
+    "tallest": ("size", "long"), "longer": ("size", "long"), "longest": ("size", "long"),
+    "shorter": ("size", "short"), "shortest": ("size", "short"),
+}  # fmt: skip
+"""Words that tell one thing from another, as (what they tell, the plain word)."""
+
 
 @dataclass(frozen=True)
 class Part:
@@ -95,6 +123,8 @@ class Knowledge:
     wishes: tuple[Wish, ...]
     usual_part: Mapping[tuple[str, ...], str]
     untouchable: frozenset[tuple[str, ...]]
+    written: frozenset[str]
+    first_part_names: frozenset[str]
 
     def object_named(self, name: str) -> Thing | None:
         """The object of this name or with this other name."""
@@ -143,6 +173,12 @@ def knowledge() -> Knowledge:
                     defaults.setdefault(action, []).append(thing.name)
                 else:
                     themes.setdefault(stem(name), []).append((action, thing.name))
+    spoken = [
+        *(name for thing in objects.values() for name in (thing.name, *thing.also)),
+        *part_names,
+        *(verb for action, verbs in table["actions"].items() for verb in (action, *verbs)),
+        *(theme for thing in objects.values() for names in thing.uses.values() for theme in names),
+    ]
     unknown = dict(table["unknown"])
     untouchable = frozenset(stem(name) for name in unknown.pop("untouchable"))
     return Knowledge(
@@ -156,6 +192,8 @@ def knowledge() -> Knowledge:
         wishes=tuple(Wish(**row) for row in table["wishes"]),
         usual_part={stem(verb): part for part, verbs in unknown.items() for verb in verbs},
         untouchable=untouchable,
+        first_part_names=frozenset(part.name for thing in objects.values() for part in thing.parts),
+        written=frozenset(word for phrase in spoken for word in words(phrase)),
     )
 
 

@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from a4agent.offline.knowledge import Thing, knowledge, stem, words
+from a4agent.offline.knowledge import QUALIFIERS, Thing, knowledge, stem, words
 from a4agent.offline.profile import Layout
 from a4agent.offline.understanding import understand
 
@@ -32,34 +32,6 @@ DEFAULT = Layout()
 
 PARTS = ("grip", "work", "body", "inside", "control", "lid", "spout", "whole")
 """The part maps of the network, and "whole"."""
-
-COLOURS = (
-    "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "black", "white", "grey", "beige",
-    "silver", "gold", "transparent",
-)  # fmt: skip
-SIDES = ("left", "right", "upper", "lower", "middle", "front", "back")
-SIZES = ("small", "large", "long", "short")
-
-_QUALIFIERS = {
-    **{name: ("colour", name) for name in COLOURS},
-    **{name: ("side", name) for name in SIDES},
-    **{name: ("size", name) for name in SIZES},
-    "gray": ("colour", "grey"), "violet": ("colour", "purple"), "golden": ("colour", "gold"),
-    "clear": ("colour", "transparent"), "steel": ("colour", "silver"), "metal": ("colour", "silver"),
-    "cream": ("colour", "beige"), "tan": ("colour", "beige"), "turquoise": ("colour", "blue"),
-    "lefthand": ("side", "left"), "left-hand": ("side", "left"), "leftmost": ("side", "left"),
-    "righthand": ("side", "right"), "right-hand": ("side", "right"), "rightmost": ("side", "right"),
-    "top": ("side", "upper"), "topmost": ("side", "upper"), "uppermost": ("side", "upper"), "higher": ("side", "upper"),
-    "bottom": ("side", "lower"), "lowest": ("side", "lower"), "bottommost": ("side", "lower"),
-    "central": ("side", "middle"), "center": ("side", "middle"), "centre": ("side", "middle"),
-    "nearest": ("side", "front"), "closest": ("side", "front"), "rear": ("side", "back"),
-    "little": ("size", "small"), "tiny": ("size", "small"), "smaller": ("size", "small"), "smallest": ("size", "small"),
-    "big": ("size", "large"), "bigger": ("size", "large"), "biggest": ("size", "large"), "larger": ("size", "large"),
-    "largest": ("size", "large"), "huge": ("size", "large"), "tall": ("size", "long"), "taller": ("size", "long"),
-    "tallest": ("size", "long"), "longer": ("size", "long"), "longest": ("size", "long"),
-    "shorter": ("size", "short"), "shortest": ("size", "short"),
-}  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Wanted:
@@ -139,7 +111,7 @@ def wanted(phrase: str) -> Wanted:
         of_part = {f"part_{name}": value for name, value in _qualifiers(words(spoken[1])).items() if name != "size"}
         return replace(_part(spoken[1], thing), **_qualifiers(words(owner), thing), **of_part)
     content = [word for word in said if word not in {"the", "a", "an", "this", "that", "my"}]
-    plain = [word for word in content if word not in _QUALIFIERS]
+    plain = [word for word in content if word not in QUALIFIERS]
     if objects and objects[0].end - objects[0].start == len(plain):
         thing = objects[0].value
         return replace(_whole(thing), **_qualifiers(content, thing))
@@ -158,8 +130,8 @@ def _qualifiers(said: Sequence[str], thing: Thing | None = None) -> dict[str, st
     name = set(words(thing.name)) if thing else set[str]()
     found: dict[str, str] = {}
     for word in said:
-        if word in _QUALIFIERS and word not in name:
-            found.setdefault(*_QUALIFIERS[word])
+        if word in QUALIFIERS and word not in name:
+            found.setdefault(*QUALIFIERS[word])
     return found
 
 

@@ -1,0 +1,473 @@
+"""From what a sentence means and what is in the picture to the part to act on.
+
+    decide("drink from the mug without burning your hand")   -> the handle of the mug
+    decide("tighten a screw")                                -> the shaft of the screwdriver
+    decide("drink from this", seen=("mug",))                 -> the handle of the mug
+    decide("find the part that can cut")                     -> the part that can cut
+    decide("translate this letter")                          -> a refusal
+
+The order of the rules is the order of the evidence: a part that is named, a thing that is named, a thing in the
+picture, a tool for the job, what things of an unknown kind usually have.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+from a4agent.offline.knowledge import Knowledge, Part, Thing, knowledge, stem
+from a4agent.offline.language import DEFINITE, SENSES, Noun, Reading, Verb, read
+
+EXAMPLES = "Try 'open the drawer' or 'pick up the mug'."
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The thing and its part, or None for both if the sentence is refused.
+
+    `because` is the reason in words, or the refusal; `action` what will be done; `sure` is False for a guess about
+    a thing that the knowledge base does not hold.
+    """
+
+    object_name: str | None
+    part_name: str | None
+    because: str
+    action: str = "use"
+    sure: bool = True
+
+    @property
+    def phrase(self) -> str:
+        """ "the handle of the mug", "the part that can cut", or "" for a refusal."""
+        if not self.part_name:
+            return ""
+        if self.part_name.startswith("part that can "):
+            of_it = "" if self.object_name == "object" else f" of the {self.object_name}"
+            return f"the part{of_it} {self.part_name.removeprefix('part ')}"
+        return f"the {self.part_name} of the {self.object_name}"
+
+
+_FACTS = re.compile(r"(?:who|whose|whom|why|when (?:did|do|does|is|was|were|will)|what (?:time|day|year|is the (?!handle|part)))\b")
+_BY_HAND = frozenset(["activate", "adjust", "close", "fasten", "grasp", "open", "press", "pull", "push", "turn", "hang"])
+_UNDERGONE = frozenset(["climb", "drink", "kick", "lie", "play", "ride", "sit", "throw", "wear", "contain"])
+"""Actions that a named thing undergoes itself: nobody reaches for a ball to kick a door."""
+_INSTEAD = {
+    "hang": ("grasp",), "throw": ("grasp",), "kick": ("push", "grasp"), "extract": ("pull", "grasp"),
+    "fasten": ("turn", "open"), "turn": ("adjust", "activate"), "lean": ("sit",), "press": ("activate", "squeeze"),
+    "wrap-grasp": ("grasp",), "pry": ("open",), "scoop": ("contain",), "contain": ("scoop", "open"),
+    "support": ("contain", "flip"), "activate": ("press", "open"), "squeeze": ("grasp",), "pull": ("open", "grasp"),
+    "push": ("press", "close", "grasp"), "unlock": ("open",), "wash": ("grasp",), "cook": ("contain",),
+}  # fmt: skip
+"""What comes close to an action that no part of a thing is there for."""
+
+
+@lru_cache(maxsize=512)
+def decide(instruction: str, seen: tuple[str, ...] = ()) -> Decision:
+    """Decide, or say why not. The same instruction and things seen always get the same answer.
+
+    Args:
+        instruction: what somebody typed.
+        seen: kinds of things in the picture, the likeliest first; names of knowledge.toml.
+    """
+    reading = read(instruction)
+    if reading is None:
+        return _refused(instruction, "I can read English, and simple German, French, Spanish, Italian and Dutch.")
+    if _FACTS.match(reading.text):
+        return _refused(instruction)
+    know = knowledge()
+    things = tuple(thing for name in seen if (thing := know.object_named(name)))
+    found = _Decider(reading, things, know).decide() or _refused(instruction)
+    return _compared(found, things, know)
+
+
+def _compared(found: Decision, seen: tuple[Thing, ...], know: Knowledge) -> Decision:
+    """The decision, saying so if the named thing is not among those in the picture."""
+    thing = know.object_named(found.object_name or "")
+    if not seen or thing is None or any(other.kind == thing.kind for other in seen):
+        return found
+    because = f"{found.because} In the picture I recognise {_listed([other.key for other in seen])}, not {_a(thing.key)}."
+    return Decision(found.object_name, found.part_name, because, found.action, sure=False)
+
+
+@dataclass(frozen=True)
+class _Decider:
+    """The rules, over one sentence and the things in the picture."""
+
+    reading: Reading
+    seen: tuple[Thing, ...]
+    know: Knowledge
+
+    def decide(self) -> Decision | None:
+        rules = (self._named_part, self._asked_part, self._held, self._known_thing, self._pronoun, self._tool, self._guess)
+        return next((found for rule in rules if (found := rule())), None)
+
+    # ---- a part that is named
+
+    def _named_part(self) -> Decision | None:
+        nouns = self.reading.nouns
+        for place, noun in enumerate(nouns):
+            if noun.part is None or (noun.thing and noun.owner is None):
+                continue
+            owner = noun.owner
+            if owner is None and (self._is_remark(noun) or (noun.role == "tool" and self._things)):
+                continue
+            if owner is None and not self._part_is_meant(noun, nouns[:place]):
+                continue
+            if owner is None:
+                owner = self._owner_of(noun, nouns[:place], nouns[place + 1 :])
+            if owner is None:
+                continue
+            name = _owner_name(owner)
+            why = f"The instruction itself names the {noun.name} of the {name}."
+            return Decision(name, noun.name, why, self._action or "use")
+        return None
+
+    def _is_remark(self, noun: Noun) -> bool:
+        """Whether the sentence only tells how a part is: "the body is hot"."""
+        after = self.reading.words[noun.end : noun.end + 1]
+        return bool(after) and after[0] in {"is", "are", "was", "were", "feels", "looks", "seems"}
+
+    def _part_is_meant(self, noun: Noun, before: Sequence[Noun]) -> bool:
+        """Whether a part without an owner is what to act on: "by its handle", "open the lid", "the blade"."""
+        if noun.role == "aim":
+            return True
+        if noun.role == "place":
+            return bool(before) and any(n.thing is None or n.thing.part_named(noun.part or "") for n in before if not n.part)
+        if not noun.definite:
+            return False
+        stands_alone = stem(noun.part or "") not in self.know.theme_index and noun.part in self.know.first_part_names
+        return stands_alone or self._is_handled(noun.part or "") or any(t.part_named(noun.part or "") for t in self._things)
+
+    def _is_handled(self, name: str) -> bool:
+        """Whether a part of this name is there for a hand to do what the first verb says: "press the stop button"."""
+        done = set(self.reading.verbs[0].actions) & _BY_HAND if self.reading.verbs else set[str]()
+        return any(
+            done & set(part.affords)
+            for thing in self.know.objects.values()
+            for part in thing.parts
+            if stem(name) in {stem(known) for known in (part.name, *part.also)}
+        )
+
+    def _owner_of(self, part: Noun, before: Sequence[Noun], after: Sequence[Noun]) -> Noun | None:
+        """Whose part it is: a thing that is named before or after, one in the picture, a tool, or "the object"."""
+        candidates = [n for n in (*reversed(before), *after) if (n.part is None or n.thing) and not n.generic and n.owner is None]
+        for noun in candidates:
+            if noun.thing and noun.thing.part_named(part.part or ""):
+                return noun
+        unknown = next((n for n in candidates if n.thing is None and not n.pronoun and n.definite and n.role == "object"), None)
+        if part.role in ("aim", "place") and unknown:
+            return unknown
+        if part.role == "aim" and candidates and candidates[0].thing:
+            return candidates[0]
+        tool = self._reached_for()
+        for thing in (*self.seen, *((tool[0],) if tool else ())):
+            if thing.part_named(part.part or ""):
+                return Noun(thing.name, 0, 0, thing=thing)
+        if any(n.thing for n in candidates) and part.role == "place":
+            return None
+        return Noun("object", 0, 0, pronoun=True)
+
+    # ---- "which part of the knife cuts?"
+
+    def _asked_part(self) -> Decision | None:
+        asked = next((noun for noun in self.reading.nouns if noun.generic), None)
+        wanted = self._wanted_actions
+        if asked is None:
+            return None
+        owner = asked.owner
+        sense = [action for word in self.reading.words for action in SENSES.get(word, ())]
+        if owner is None or owner.thing is None:
+            if owner and not owner.pronoun and owner.part is None:  # a thing nobody knows
+                return None
+            if sense:
+                return self._of_anything(sense[0], sense[0])
+            return None
+        thing = owner.thing
+        if sense and (part := self._part(thing, sense[0])):
+            return _decision(owner, part, sense[0], f"The {part.name} is that part of the {owner.name}.")
+        if self._holds and (part := self._part(thing, "grasp")):
+            return _held(owner, part)
+        for action in wanted:
+            if part := self._part(thing, action):
+                return _decision(owner, part, action, f"The {part.name} of the {owner.name} is there to {action}.")
+        for action in (other for one in wanted for other in _INSTEAD.get(one, ())):
+            if part := self._part(thing, action):
+                return _decision(owner, part, action, f"The {part.name} of the {owner.name} comes closest to that.")
+        part = next((part for part in thing.parts if part.affords and "grasp" not in part.affords), thing.parts[0])
+        return _decision(owner, part, "use", f"The {owner.name} does its work with its {part.name}.")
+
+    # ---- "where do I hold it?"
+
+    @property
+    def _holds(self) -> bool:
+        """Whether the question is where to hold: no other verb asks for another part."""
+        return self.reading.holding
+
+    def _held(self) -> Decision | None:
+        if not self._holds:
+            return None
+        noun = next((n for n in self._candidates if n.thing), None)
+        if noun and noun.thing and (part := self._part(noun.thing, "grasp")):
+            return _held(noun, part)
+        if any(n.definite and not n.pronoun and n.part is None and not n.generic for n in self.reading.nouns):
+            return None
+        tool = self._reached_for()
+        if tool and (part := self._part(tool[0], "grasp")):
+            return _held(Noun(tool[0].name, 0, 0, thing=tool[0]), part)
+        return self._of_anything("grasp", "hold it")
+
+    # ---- a thing that is named
+
+    @property
+    def _things(self) -> list[Thing]:
+        return [noun.thing for noun in self.reading.nouns if noun.thing]
+
+    @property
+    def _candidates(self) -> list[Noun]:
+        """Known things, tools first, then what is acted on, then places."""
+        order = {"tool": 0, "object": 1, "aim": 1, "owner": 2, "place": 2, "goal": 3}
+        flat = [noun.owner if noun.owner and noun.generic else noun for noun in self.reading.nouns]
+        return sorted((noun for noun in flat if noun.thing), key=lambda noun: order[noun.role])
+
+    def _known_thing(self) -> Decision | None:
+        candidates = self._candidates
+        if not candidates:
+            return None
+        tool = None if candidates[0].role == "tool" else (self._reached_for() or self._by_verb_alone())
+        verbs = self.reading.verbs
+        unknown_tool = next((n for n in self.reading.nouns if n.role == "tool" and not n.thing and not n.pronoun), None)
+        for verb in verbs:
+            if self._leads_on(verb):
+                continue
+            if unknown_tool and not set(verb.actions) & _BY_HAND:
+                return None
+            first = candidates[0].thing
+            if tool and tool[1] in verb.actions and tool[1] not in _UNDERGONE and first and not _affords(first, verb):
+                if part := self._part(tool[0], tool[1]):
+                    return _decision(_noun(tool[0]), part, tool[1], f"To {verb.text} that, {_a(tool[0].name)} is used.")
+            for noun in candidates:
+                for action in _actions_on(noun, verb):
+                    if noun.thing and (part := self._part(noun.thing, action)):
+                        return _decision(noun, part, action, _used_for(verb, action, noun, part))
+        for verb in verbs:
+            for action in self._instead(verb):
+                for noun in candidates:
+                    if noun.thing and (part := self._part(noun.thing, action)):
+                        why = f"To do that, {action} the {noun.name} at its {part.name}."
+                        return _decision(noun, part, action, why)
+        wish = self._wished()
+        if wish and (part := self._part(*wish)):
+            return _decision(_noun(wish[0]), part, wish[1], f"{_a(wish[0].name).capitalize()} would help.")
+        noun = candidates[0]
+        if not verbs and noun.thing and len(candidates) == 1 and not self._states:
+            part = self._part(noun.thing, "grasp") or noun.thing.parts[0]
+            return _decision(noun, part, "grasp", f"The sentence names only the {noun.name}, so it will be picked up.")
+        return None
+
+    @property
+    def _states(self) -> bool:
+        """Whether the sentence tells rather than asks: "the mug is empty"."""
+        return bool({"is", "are", "was", "were", "has"} & set(self.reading.words))
+
+    def _leads_on(self, verb: Verb) -> bool:
+        """Whether "take", "get" or "put" is only the way to what follows: "get the knife and cut bread"."""
+        later = [v for v in self.reading.verbs if v.start >= verb.end and not v.purpose]
+        return verb.actions[:1] == ("grasp",) and bool(later) and "and" in self.reading.words[verb.end : later[0].start]
+
+    def _instead(self, verb: Verb) -> tuple[str, ...]:
+        bare = self.know.action_index.get(stem(verb.text.split()[:1]), ()) if " " in verb.text else ()
+        near = [action for one in verb.actions[:2] for action in _INSTEAD.get(one, ())]
+        return (*(action for action in bare if action in _BY_HAND), *near)
+
+    def _part(self, thing: Thing, action: str) -> Part | None:
+        """The part that affords an action and is not ruled out; for a hand, any part that does not cut."""
+        ruled_out = {noun.part for noun in self.reading.unwanted if noun.part}
+        ruled_out_actions = set(self.reading.unwanted_actions) - _BY_HAND if self.reading.unwanted_actions else set[str]()
+        banned = {part.name for part in thing.parts if ruled_out & {part.name, *part.also}}
+        banned |= {part.name for part in thing.parts if ruled_out_actions & set(part.affords) and "grasp" not in part.affords}
+        part = next((p for p in thing.parts if action in p.affords and p.name not in banned), None)
+        if part or action != "grasp" or not thing.part_for("grasp"):
+            return part
+        left = [p for p in thing.parts if p.name not in banned and not {"cut", "spear"} & set(p.affords)]
+        return next((p for p in left if p.name in ("body", "rim", "base", "shaft")), left[0] if left else None)
+
+    # ---- "drink from this"
+
+    def _pronoun(self) -> Decision | None:
+        """What is done to whatever is in the picture."""
+        unknown = any(n.thing is None and n.part is None and not n.pronoun and not n.generic for n in self._own_nouns)
+        goal = next((n for n in self.reading.nouns if n.pronoun and n.role == "goal"), None)
+        if unknown or self._things:
+            return None
+        points = any(n.pronoun or n.generic for n in self.reading.nouns) or (not self.reading.nouns and self._asks)
+        if not points:
+            return None
+        for verb in self.reading.verbs:
+            if verb.actions[0] == "grasp" and len(self.reading.verbs) > 1 and verb is self.reading.verbs[0]:
+                later = self.reading.verbs[1]
+                if self.reading.nouns and any(n.generic for n in self.reading.nouns) and not later.purpose:
+                    continue
+            actions = _actions_on(goal, verb) if goal else verb.actions
+            if found := self._of_anything(actions[0], verb.text if actions == verb.actions else actions[0], actions):
+                return found
+        return None
+
+    @property
+    def _own_nouns(self) -> list[Noun]:
+        """Nouns that are acted on, without what is only a place or a helper."""
+        flat = [n.owner if n.generic and n.owner else n for n in self.reading.nouns]
+        return [n for n in flat if n.role in ("object", "tool", "aim") and n.definite]
+
+    @property
+    def _asks(self) -> bool:
+        return bool({"where", "what", "which", "how"} & set(self.reading.words))
+
+    def _of_anything(self, action: str, spoken: str, actions: Sequence[str] = ()) -> Decision | None:
+        """The part of something in the picture that affords an action, or what most things have for it."""
+        for thing in self.seen:
+            for one in (*(actions or (action,)), *_INSTEAD.get(action, ())):
+                if part := self._part(thing, one):
+                    return _decision(_noun(thing), part, one, f"In the picture, the {part.name} of the {thing.name} can {one}.")
+        usual = self.know.usual_part.get(stem(spoken)) or self.know.usual_part.get(stem(action))
+        noun = next((n for n in self.reading.nouns if n.pronoun), Noun("object", 0, 0, pronoun=True))
+        name = " ".join((*noun.qualifiers, "object"))
+        if usual and not re.search(r"\bpart\b.*\bcould\b", self.reading.text):
+            return Decision(name, usual, f"No thing is named; most things are held or used at a {usual} to {spoken}.", action, False)
+        return Decision(name, f"part that can {action}", f"No thing is named, so the part that can {action} is looked for.", action)
+
+    # ---- a tool for the job
+
+    def _tool(self) -> Decision | None:
+        if any(n.role == "tool" and n.definite and not n.thing and not n.pronoun for n in self.reading.nouns):
+            return None
+        tool = self._reached_for()
+        if tool is None:
+            if self._guess():
+                return None
+            tool = self._by_verb_alone()
+        part = tool and self._part(*tool)
+        if not tool or not part:
+            return None
+        thing, action = tool
+        why = f"To {action}, {_a(thing.name)} is used, with its {part.name}."
+        return _decision(_noun(thing), part, action, why)
+
+    def _reached_for(self) -> tuple[Thing, str] | None:
+        """The tool for what is to be done, and the action: by verb and what it is done to, then by a wish."""
+        themes = self.know.find_themes(self.reading.words)
+        verbs = [verb for verb in self.reading.verbs if set(verb.actions) != {"grasp"}] or list(self.reading.verbs)
+        for verb in verbs:
+            for theme in themes:
+                for action, name in theme.value:
+                    if action in verb.actions:
+                        return self.know.objects[name], action
+        return self._wished()
+
+    def _by_verb_alone(self) -> tuple[Thing, str] | None:
+        """What is reached for to do such a thing to anything."""
+        for verb in self.reading.verbs:
+            for action in verb.actions:
+                for name in self.know.default_index.get(action, ()):
+                    return self.know.objects[name], action
+        return None
+
+    def _wished(self) -> tuple[Thing, str] | None:
+        """What helps someone who only says what is wrong: "the soup is cold". A verb still chooses the part."""
+        for wish in self.know.wishes:
+            if re.search(wish.says, self.reading.text):
+                thing = self.know.objects[wish.object]
+                asked = (a for verb in self.reading.verbs for a in verb.actions if a != wish.action and a in _BY_HAND)
+                return thing, next((action for action in asked if thing.part_for(action)), wish.action)
+        return None
+
+    # ---- a thing that nobody knows
+
+    def _guess(self) -> Decision | None:
+        """ "open the hatch": what a thing of an unknown kind is usually handled by, for such a verb."""
+        verbs = self.reading.verbs
+        nouns = [noun for noun in self.reading.nouns if noun.thing is None and noun.part is None]
+        for verb in verbs:
+            usual = self.know.usual_part.get(stem(verb.text)) or self.know.usual_part.get((verb.actions[0],))
+            by_hand = bool(set(verb.actions) & _BY_HAND) or verb.actions[0] in _UNDERGONE or verb.text == "pour"
+            for noun in sorted(nouns, key=lambda n: (n.role != "tool", n.role == "place")):
+                noun = noun.owner if noun.generic and noun.owner else noun
+                if noun.pronoun or noun.generic or not noun.definite or self._is_idea(noun):
+                    continue
+                if usual is None or not (by_hand or noun.role == "tool"):
+                    continue
+                if noun.role == "place" and verb.actions[0] not in (*_UNDERGONE, "pour"):
+                    continue
+                part = "handle" if self._holds else usual
+                why = f"I do not know this {noun.text}; most things have a {part} to {verb.text}."
+                return Decision(noun.name, part, why, verb.text, sure=False)
+        return None
+
+    def _is_idea(self, noun: Noun) -> bool:
+        words = noun.text.split()
+        return any(stem(words[-count:]) in self.know.untouchable for count in (1, 2, 3))
+
+    @property
+    def _wanted_actions(self) -> list[str]:
+        """The actions of the verbs; a relative clause's before those that only fetch ("find", "use")."""
+        asked = [verb for verb in self.reading.verbs if verb.text in ("holds", "keeps")]
+        return [*(["contain"] if asked else []), *(action for verb in self.reading.verbs for action in verb.actions)]
+
+    @property
+    def _action(self) -> str | None:
+        return next(iter(self._wanted_actions), None)
+
+
+def _actions_on(noun: Noun, verb: Verb) -> tuple[str, ...]:
+    """What a verb does to a thing: what is poured or put into it, it contains."""
+    if noun.role == "goal" and {"pour", "grasp", "contain", "throw"} & set(verb.actions):
+        return ("contain", *verb.actions)
+    return verb.actions
+
+
+def _affords(thing: Thing, verb: Verb) -> bool:
+    return any(thing.part_for(action) for action in verb.actions)
+
+
+def _noun(thing: Thing) -> Noun:
+    return Noun(thing.name, 0, 0, thing=thing)
+
+
+def _owner_name(owner: Noun) -> str:
+    return owner.name
+
+
+def _decision(noun: Noun, part: Part, action: str, why: str) -> Decision:
+    return Decision(noun.name, part.name, why, action)
+
+
+def _held(noun: Noun, part: Part) -> Decision:
+    return _decision(noun, part, "grasp", f"The {noun.name} is held by its {part.name}.")
+
+
+def _used_for(verb: Verb, action: str, noun: Noun, part: Part) -> str:
+    """Why this part, in the speaker's own verb where it is not inflected."""
+    spoken = verb.text if not verb.text.split()[0].endswith(("ing", "ed", "s")) else action
+    return f"To {spoken} with or at the {noun.name}, use its {part.name}."
+
+
+def _a(name: str) -> str:
+    """A name with its article; pairs need none."""
+    if name.endswith("s") and not name.endswith(("ss", "us")):
+        return f"a pair of {name}" if name in _PAIRS else name
+    return f"{'an' if name[0] in 'aeiou' else 'a'} {name}"
+
+
+_PAIRS = frozenset(["scissors", "pliers", "shears", "tweezers", "tongs", "chopsticks", "glasses", "headphones", "binoculars"])
+
+
+def _listed(names: Sequence[str]) -> str:
+    named = [_a(name) for name in dict.fromkeys(names)][:3]
+    return named[0] if len(named) == 1 else f"{', '.join(named[:-1])} and {named[-1]}"
+
+
+def _refused(instruction: str, why: str = "") -> Decision:
+    shown = " ".join(instruction.split())
+    shown = shown if len(shown) <= 80 else shown[:77] + "..."
+    reason = why or f"I do not know which part of which thing is meant by {shown!r}."
+    return Decision(None, None, f"{reason} {EXAMPLES}")

@@ -1,0 +1,516 @@
+"""English sentences as far as the offline Thinker needs them: spelling, verbs, noun phrases, what is ruled out.
+
+    read("Could you please pikc up the black mug by its handle, not by the rim?")
+    -> Reading(verbs=(pick up,), nouns=(black mug, handle), unwanted=(rim,), ...)
+
+The steps, each a short function: contractions and polite frames go; words that nobody knows are matched with the
+words of knowledge.toml by edit distance; what follows "not", "without" or "instead of" is set apart; so is the
+purpose ("so that ...", "to ..."); the word before tells a verb from a noun; what is left are noun phrases.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypeVar
+
+from a4agent.offline.knowledge import QUALIFIERS, Knowledge, Mention, Thing, find, knowledge, stem
+from a4agent.offline.spelling import corrected
+from a4agent.offline.translation import in_english
+
+T = TypeVar("T")
+
+Role = Literal["object", "tool", "place", "goal", "owner", "aim"]
+
+
+def _set(words: str) -> frozenset[str]:
+    return frozenset(words.split())
+
+
+DEFINITE = _set("the this that these those my your our his her their its")
+GENERIC_PARTS = _set("part parts end side bit piece portion section area region component element spot place")
+MARKS = frozenset(",;:.!?")
+_DETERMINERS = DEFINITE | _set("a an some any all both each either every another no two three such what which")
+_PRONOUNS = _set("it this that these those them something anything everything thing things one ones stuff")
+_BEFORE_VERBS = _set(
+    "to could would will should must might may and or then not do does did never be is are was were been let i you we "
+    "they he she it who which that what used supposed meant able often usually also only first , ; : . ! ?"
+)
+_MODALS = _set("could would should must might will i you we they")
+_PREPOSITIONS: dict[str, Role] = {
+    **dict.fromkeys(("with", "using", "use", "uses", "via"), "tool"),
+    **dict.fromkeys(
+        "on to toward towards from off out near next beside behind below beneath under underneath "
+        "above over between against around across along within outside through below".split(),
+        "place",
+    ),
+    **dict.fromkeys(("in", "into", "inside", "onto"), "goal"),
+    "by": "aim",
+    "at": "aim",
+    "of": "owner",
+}
+_STOP_WORDS = (
+    (DEFINITE | _DETERMINERS | _PRONOUNS | _BEFORE_VERBS | frozenset(_PREPOSITIONS))
+    - _set("thing things stuff")
+    | _set(
+        """
+about after again ahead am apart are as aside away back be because been before being but can come comes coming down
+each for go goes going gone had has have having here him how if just like liked likes made make makes me meanwhile meant
+need needed needs now once other ought out please same shall she since so soon suitable supposed than there therefore
+together too until up upon us very want wanted wants well when where wherever whether while whose why will without yes
+yet your really around able ready
+"""
+    )
+)
+
+_SHORT_FORMS = (
+    (r"\bcan't\b|\bcannot\b|\bcan not\b", "could not"),
+    (r"\bwon't\b", "will not"),
+    (r"n't\b", " not"),
+    (r"\b(do|does|is|are|was|were|ca|wo|would|should|could)nt\b", r"\1 not"),
+    (r"\blet's\b", "let us"),
+    (r"\b(it|that|there|what|where|who|how|here|which)'s\b", r"\1 is"),
+    (r"'re\b", " are"),
+    (r"'m\b", " am"),
+    (r"'ll\b", " will"),
+    (r"'d\b", " would"),
+    (r"'ve\b", " have"),
+    (r"\b(?:pls|plz|plse)\b", "please"),
+    (r"\bu\b", "you"),
+)
+# "can" is a tin after an article or an adjective, and "could" everywhere else.
+_MODAL = re.compile(
+    r"(?<![\w-])can(?= (?:i|you|we|they|he|she|it|one|somebody|someone|anyone|the|my|be|not|also|only|please)\b)"
+    r"|(?<=\b(?:i|u) )can\b"
+    r"|(?<=\b(?:we|he|it) )can\b"
+    r"|(?<=\b(?:you|she|one) )can\b"
+    r"|(?<=\b(?:they|part|that|what|tool|hand) )can\b(?= [a-z])"
+    r"|(?<=\b(?:which|where|thing) )can\b(?= [a-z])"
+)
+_YOU = r"(?:you|we|one|somebody|someone|anyone|anybody)"
+_I = r"(?:i|we)"
+_ASKED = r"(?: (?:it )?if you(?: could| would)?| for you to| you to| to)"
+_POLITE = re.compile(
+    "|".join(
+        rf"\b(?:{frame})(?!\w)"
+        for frame in (
+            rf"if {_YOU} (?:do not mind|could|would|please|may|like|can|have (?:time|a moment|a minute))",
+            r"for (?:me|us)(?! to)",
+            r"(?:could|may|might|can) (?:i|we) (?:trouble|ask|bother) you (?:to|for)",
+            rf"{_I} (?:was|were|am|are) (?:just )?wondering (?:if|whether) (?:you|we) (?:could|would|might)",
+            rf"{_I} (?:would|should|will)(?: really| very much)? (?:appreciate|love|like|prefer|want|be (?:grateful|glad|happy|pleased)){_ASKED}",
+            rf"{_I} (?:really )?(?:want|need|wish|ask|expect){_ASKED.replace('| to', '')}",
+            r"would you (?:mind|be able to|be willing to|be (?:so )?kind enough to|like to)",
+            r"(?:would|is) it (?:be )?possible (?:for you )?to",
+            r"be so (?:kind|good) (?:as to|and)|so kind as to",
+            r"do me (?:a|the) favou?r(?: and|:|,)?",
+            r"be a (?:dear|darling|love|sweetheart|star)(?: and)?",
+            r"(?:give|lend) (?:me|us) a hand(?: and| with)?",
+            r"go ahead and|feel free to|you may(?: now)?|go and",
+            rf"(?:could|would|will|shall|must) {_YOU}",
+            r"help (?:me|us)(?: to| with)?|let (?:us|me)",
+            r"try (?:and|to)|(?:make sure|be sure|remember|do not forget)(?: to| that you)",
+            r"it is time to|(?:your|the) (?:task|job|goal) is to",
+            r"please|kindly|possibly|maybe|perhaps|thanks|thank you(?: very much| so much)?",
+            r"hey|hi|hello|ok|okay|robot|assistant|right now|just|now",
+            r"quickly|carefully|gently|slowly|safely|firmly|properly",
+            r"(?:in|of|from) (?:the|this) (?:image|picture|photo|photograph|scene)",
+            r"in the (?:center|centre|middle)(?= of the (?:image|picture|photo))",
+        )
+    )
+)
+_GIVEN = re.compile(rf"\b(?:could|may|might|can) {_I} have\b|\b{_I} (?:would|will) (?:like|have)(?= (?:the|that|this|my)\b)")
+
+_RULED_OUT = re.compile(
+    r"\b(without|instead of|rather than|but not|and not|not|never|do not|avoid(?:ing)?|except(?: for)?|excluding"
+    r"|other than|anything but|anywhere but|apart from|(?:keep|stay|leave)(?: \w+){0,2} (?:off|away from|clear of))\b"
+    r"[^,;:.!?]*"
+)
+_RULED_IN_AGAIN = re.compile(r"\b(?:and|then|but(?! not)|when|while|as|if|so that|to (?=\w+ ?$))\b.*$")
+_PURPOSE = re.compile(
+    r"\b(?:so that|so as to|in order to|in order that|so(?= (?:i|you|we|they|he|she|it|the|my)\b)|because|since"
+    r"|for(?= [a-z]+ing\b)|to(?= [a-z]))\b[^,;:.!?]*"
+)
+_NOT_A_PURPOSE = re.compile(r"to (?:the|a|an|my|me|this|that|it|its|be|him|her|us|them|your|our|someone|where|left|right)\b")
+_HOLD = re.compile(
+    r"\b(?:where|which|what|how)\b[^?.!]*\b(?:hold|held|holding|grip|grasp|grasped|grab|touch|pick|take|carry|lift|hand|hands"
+    r"|finger|fingers|palm)\b"
+    r"|\b(?:hand|hands|fingers?|palm|grip|grasp|hold)\b[^?.!]*\b(?:go|goes|belongs?|rests?|wraps?|be placed|be put)\b"
+)
+_WHERE_TO_PUT = re.compile(
+    r"\bwhere (?:do|does|should|could|would|will|is|are|to)(?: \w+){0,2} (?:pour|put|fill|store|keep|insert|stow|load|pour in)\b"
+    r"(?! (?:my|the|your) (?:hand|hands|finger|fingers|palm|foot|feet)\b)"
+)
+_SAFELY = re.compile(r"\b(?:burn|hurt|cut|injur|scald|prick|harm)\w*\b")
+
+
+@dataclass(frozen=True)
+class Noun:
+    """A noun phrase: a known thing, a known part, or words that are neither; `owner` as in "the handle of the mug".
+
+    `text` is without article and qualifiers; `qualifiers` are the plain words of QUALIFIERS ("black", "left"); `role`
+    comes from the preposition before it.
+    """
+
+    text: str
+    start: int
+    end: int
+    role: Role = "object"
+    thing: Thing | None = None
+    part: str | None = None
+    qualifiers: tuple[str, ...] = ()
+    owner: Noun | None = None
+    definite: bool = False
+    pronoun: bool = False
+
+    @property
+    def name(self) -> str:
+        """The words for a phrase: "black mug"."""
+        return " ".join((*self.qualifiers, self.text))
+
+    @property
+    def generic(self) -> bool:
+        """Whether this is "the part" of something, whichever that may be."""
+        return self.part is None and self.thing is None and self.text.rsplit(" ", maxsplit=1)[-1] in GENERIC_PARTS
+
+
+@dataclass(frozen=True)
+class Verb:
+    """A verb as written and the actions it may mean, likeliest first; `purpose` if it is what something is done for."""
+
+    text: str
+    actions: tuple[str, ...]
+    start: int
+    end: int
+    purpose: bool = False
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a sentence holds: verbs of the main clause first, then those of its purpose; what it rules out apart."""
+
+    text: str
+    words: tuple[str, ...]
+    verbs: tuple[Verb, ...]
+    nouns: tuple[Noun, ...]
+    unwanted: tuple[Noun, ...] = ()
+    unwanted_actions: tuple[str, ...] = ()
+    holding: bool = False
+
+
+def read(instruction: str) -> Reading | None:
+    """Take a sentence apart; None if it is in a language that the tables do not cover."""
+    know = knowledge()
+    english = in_english(_expanded(instruction))
+    if english is None:
+        return None
+    text = _GIVEN.sub("give me", _MODAL.sub("could", english))
+    text = corrected(text)
+    text = _MODAL.sub("could", text)
+    text = _tidy(_POLITE.sub(" ", text))
+    wanted, ruled_out = _set_apart(text)
+    main, purpose = _main_and_purpose(wanted)
+    main, purpose = (joined_verbs(part, know.action_index) for part in (main, purpose))
+    words = tokens(main)
+    verbs = _verbs(words, know)
+    after = tokens(purpose)
+    later = [
+        replace(verb, start=verb.start + len(words), end=verb.end + len(words), purpose=True)
+        for verb in _verbs(after, know)
+    ]
+    if _WHERE_TO_PUT.search(main):
+        verbs = [replace(verb, actions=("contain",)) for verb in verbs]
+    nouns = _nouns(words, verbs, know)
+    more = _nouns(after, _verbs(after, know), know)
+    nouns += [replace(noun, start=noun.start + len(words), end=noun.end + len(words)) for noun in more]
+    out = tokens(ruled_out)
+    out_verbs = _verbs(out, know)
+    unwanted = _nouns(out, out_verbs, know)
+    if not (verbs or later or nouns) and out:  # "Don't hold the scissors by the blades"
+        things = [noun for noun in unwanted if noun.thing]
+        verbs, nouns = out_verbs, things[:1]
+        unwanted = [noun for noun in unwanted if noun not in nouns]
+        words = out
+    holding = bool(_HOLD.search(main)) or ("without" in ruled_out and bool(_SAFELY.search(ruled_out)))
+    actions = tuple(action for verb in out_verbs for action in verb.actions[:1])
+    return Reading(
+        text, (*words, *after), (*verbs, *later), tuple(nouns), tuple(unwanted), actions + _adjectives(out), holding
+    )
+
+
+def tokens(text: str) -> list[str]:
+    """Words and punctuation marks."""
+    return re.findall(r"[a-z0-9]+(?:[-'][a-z0-9]+)*|[,;:.!?]", text)
+
+
+def _expanded(instruction: str) -> str:
+    """Lower case, with contractions written out."""
+    text = " ".join(instruction.lower().replace("’", "'").replace("‘", "'").split())
+    for short, long in _SHORT_FORMS:
+        text = re.sub(short, long, text)
+    return text
+
+
+def _tidy(text: str) -> str:
+    """Without doubled spaces and punctuation that polite words left behind."""
+    text = re.sub(r"\s+([,;:.!?])", r"\1", text)
+    text = re.sub(r"([,;:.!?])[,;:\s]*(?=[,;:.!?])", r"", text)
+    return re.sub(r"^[\s,;:.!?]+|\s+(?=\s)", "", text).strip()
+
+
+def _set_apart(text: str) -> tuple[str, str]:
+    """The text without what it rules out, and what that is."""
+    ruled_out: list[str] = []
+
+    def take(match: re.Match[str]) -> str:
+        span = match[0]
+        again = _RULED_IN_AGAIN.search(span, len(match[1]))
+        kept = span[again.start() :] if again else ""
+        ruled_out.append(span[: len(span) - len(kept)])
+        return " " + kept
+
+    rest = _RULED_OUT.sub(take, text)
+    return _tidy(re.sub(r", *,? *(?=of\b)", " ", rest)), " ; ".join(ruled_out)
+
+
+def _adjectives(ruled_out: Sequence[str]) -> tuple[str, ...]:
+    """Actions that ruled-out adjectives stand for: the part that is not sharp does not cut."""
+    return tuple(action for word in ruled_out for action in SENSES.get(word, ()))
+
+
+SENSES = {"sharp": ("cut",), "pointed": ("spear",), "pointy": ("spear",), "spiky": ("spear",), "hollow": ("contain",)}
+"""What a part of such a look is there for."""
+
+
+def _main_and_purpose(text: str) -> tuple[str, str]:
+    """The text without its purposes, and those; a purpose that is all there is becomes the main clause."""
+    purposes: list[str] = []
+
+    def take(match: re.Match[str]) -> str:
+        if _NOT_A_PURPOSE.match(match[0]):
+            return match[0]
+        before = text[: match.start()].strip()
+        if re.search(r"\b(?:need|want|have|like|love|wish|going|about|able|has|used|ought|time|supposed|wants|trying|plan|got|needs)$", before):
+            return match[0].removeprefix("to ") if match[0].startswith("to ") else match[0]
+        purposes.append(match[0])
+        return " "
+
+    main = _PURPOSE.sub(take, text)
+    if not re.search(r"[a-z]", main):
+        return " ; ".join(purposes), ""
+    return _tidy(main), " ; ".join(purposes)
+
+
+_ANY_NUMBER = "a|an|all|any|both|each|either|every|one|some|" + "|".join(sorted(DEFINITE))
+_SPLIT_VERB = re.compile(
+    rf"\b([a-z]+) ((?:{_ANY_NUMBER})(?: [\w'-]+){{1,7}}?|it|them|this|that) "
+    r"(on|off|up|down|in|out|open|shut|closed|away|over|back)"
+    r"(?=\s*(?:$|[.,;:?!]|\b(?:and|again|before|by|for|from|in|into|now|onto|so|then|to|until|using|with)\b))"
+)
+_OPENED = {"open": "open", "shut": "close", "closed": "close"}
+
+
+def joined_verbs(text: str, verbs: Mapping[tuple[str, ...], object]) -> str:
+    """The text with verb and particle side by side: "switch the light on" -> "switch on the light".
+
+    What is thrown, pushed or slid open is opened, and what is pulled shut is closed. "Back" goes, lest it be taken for
+    a chair's.
+    """
+
+    def joined(match: re.Match[str]) -> str:
+        verb, noun, particle = match.groups()
+        if particle == "back":
+            return f"{verb} {noun}" if stem(verb) in verbs else match[0]
+        if stem(f"{verb} {particle}") in verbs:
+            return f"{verb} {particle} {noun}"
+        if particle in _OPENED and stem(verb) in verbs:
+            return f"{_OPENED[particle]} {noun}"
+        return match[0]
+
+    return _SPLIT_VERB.sub(joined, text)
+
+
+def _verbs(words: Sequence[str], know: Knowledge) -> list[Verb]:
+    """The verbs in order; the word before tells them from nouns of the same spelling."""
+    found: list[Verb] = []
+    named = {index for mention in know.find_objects(words) if mention.end - mention.start > 1 for index in range(mention.start, mention.end)}
+    index = 0
+    while index < len(words):
+        mention = None if index in named else _longest(words, index, know.action_index)
+        if mention and _is_verb(words, mention, know):
+            text = " ".join(words[mention.start : mention.end])
+            found.append(Verb(text, mention.value, mention.start, mention.end))
+            index = mention.end
+        else:
+            index += 1
+    return found
+
+
+def _longest(words: Sequence[str], start: int, index: Mapping[tuple[str, ...], T]) -> Mention[T] | None:
+    found = find(words[start : start + 4], index)
+    if found and found[0].start == 0:
+        return Mention(found[0].value, start, start + found[0].end)
+    return None
+
+
+def _is_verb(words: Sequence[str], mention: Mention[tuple[str, ...]], know: Knowledge) -> bool:
+    """Whether words that may be a verb are one here: "scoop sugar", "the hammer hits", "to handle"."""
+    before = words[mention.start - 1] if mention.start else "."
+    after = words[mention.end] if mention.end < len(words) else "."
+    written = tuple(words[mention.start : mention.end])
+    key = stem(written)
+    gerund = written[0].endswith("ing")
+    noun = (key in know.object_index or key in know.part_index or key in know.theme_index) and not (
+        gerund and written not in know.object_index
+    )
+    if written[0].endswith("ed") and written not in know.object_index:
+        return before not in _DETERMINERS
+    if before in _MODALS and mention.start:
+        return True
+    if before in _PREPOSITIONS or before in {"for", "without", "before", "after"}:
+        return gerund or (before == "to" and not (noun and after in MARKS | {"of"}))
+    if before in _DETERMINERS and before not in {"that", "which", "what"}:
+        return False
+    if before in QUALIFIERS:
+        return False
+    if before in {"that", "which", "what"}:
+        return after not in MARKS or not noun
+    if before in _BEFORE_VERBS:
+        return not noun or (after not in MARKS | {"of", "is", "are", "has"} and stem(after) not in know.part_index)
+    return not noun
+
+
+_OF_PEOPLE = _set("hand hands finger fingers thumb palm foot feet grip way time")
+"""What is not in the picture as a thing to act on."""
+
+
+def _nouns(words: Sequence[str], verbs: Sequence[Verb], know: Knowledge) -> list[Noun]:
+    """The noun phrases in order, owners attached: "the handle of the mug" is one."""
+    in_verb = {index for verb in verbs for index in range(verb.start, verb.end)}
+    found: list[Noun] = []
+    role: Role = "object"
+    index = 0
+    while index < len(words):
+        word = words[index]
+        if index in in_verb or word in MARKS:
+            role, index = "object", index + 1
+        elif word in _PREPOSITIONS and not (word == "to" and index + 1 in in_verb):
+            role, index = _PREPOSITIONS[word], index + 1
+        else:
+            phrase = _phrase(words, index, in_verb, know)
+            if phrase is None:
+                index += 1
+                continue
+            index = phrase.end
+            _add(found, replace(phrase, role=role), role)
+            role = "object"
+    return found
+
+
+def _add(found: list[Noun], noun: Noun, role: Role) -> None:
+    """Append a noun, or make it the owner of the part before."""
+    last = found[-1] if found else None
+    if last and role in ("owner", "place", "goal") and noun.start - last.end <= 3 and last.owner is None:
+        of = role == "owner"
+        if last.generic and of:
+            found[-1] = replace(last, owner=noun, end=noun.end)
+            return
+        fits = noun.thing is not None and last.part is not None and noun.thing.part_named(last.part)
+        if last.part and (of or fits) and not (last.thing and not fits):
+            found[-1] = replace(last, owner=noun, thing=None, end=noun.end)
+            return
+        if of and last.thing is None and last.part is None and noun.thing:  # "a picture of the mug"
+            found[-1] = replace(noun, role=last.role)
+            return
+        if of:
+            return
+    found.append(noun)
+
+
+def _phrase(words: Sequence[str], start: int, in_verb: set[int], know: Knowledge) -> Noun | None:
+    """The noun phrase that starts at a word."""
+    index = start
+    while index < len(words) and words[index] in _DETERMINERS and index not in in_verb:
+        index += 1
+    definite = any(word in DEFINITE for word in words[start:index])
+    end = index
+    while end < len(words) and end not in in_verb and words[end] not in _STOP_WORDS and words[end] not in MARKS:
+        end += 1
+    run = list(words[index:end])
+    if not run:
+        single = words[start : start + 1]
+        if index > start and single[0] in _PRONOUNS or single[0] in _PRONOUNS and index == start:
+            return Noun("object", start, max(index, start + 1), definite=True, pronoun=True)
+        return None
+    for place, word in enumerate(run):
+        if word.endswith("'s") or word.endswith("s'"):
+            owner = _named(run[: place + 1], index, True, know, possessive=True)
+            rest = _named(run[place + 1 :], index + place + 1, True, know)
+            if rest is None:
+                return owner
+            return replace(rest, owner=owner, start=start) if owner else replace(rest, start=start)
+    noun = _named(run, index, definite, know, asked=bool({"which", "what"} & set(words[start:index])))
+    return replace(noun, start=start) if noun else None
+
+
+def _named(
+    run: Sequence[str], at: int, article: bool, know: Knowledge, *, possessive: bool = False, asked: bool = False
+) -> Noun | None:
+    """What a run of words names: the last known thing, a part of it right after, or the words themselves."""
+    if not run:
+        return None
+    words = [word.removesuffix("'s").removesuffix("'") for word in run] if possessive else list(run)
+    if asked and words[-1] in GENERIC_PARTS:
+        return Noun(" ".join(words), at, at + len(words), definite=True)
+    things = know.find_objects(words)
+    parts = [p for p in know.find_parts(words) if not _only_qualifies(words, p)]
+    if things:
+        thing = things[-1]
+        for other in things[:-1]:  # "door handle", "bottle cap"
+            if other.end == thing.start and other.value.part_named(thing.value.name):
+                return _part_of(words, other, thing.start, thing.end, at)
+        following = [p for p in parts if p.start >= thing.end]
+        if following and following[0].start == thing.end:
+            return _part_of(words, thing, following[0].start, following[0].end, at)
+        covered = [p for p in parts if p.start <= thing.start and p.end >= thing.end]
+        end = thing.end
+        return Noun(
+            thing.value.name,
+            at,
+            at + end,
+            thing=thing.value,
+            part=covered[-1].value if covered and not _qualifiers(words[: thing.start]) else None,
+            qualifiers=_qualifiers(words[: thing.start]),
+            definite=article,
+        )
+    if parts:
+        part = parts[-1]
+        between = [word for word in words[: part.start] if word not in QUALIFIERS]
+        text = " ".join([*between, *words[part.start : part.end]])
+        return Noun(text, at, at + part.end, part=part.value, qualifiers=_qualifiers(words[: part.start]), definite=article)
+    kept = [word for word in words if word not in QUALIFIERS and not (word.endswith("ly") and len(word) > 4)]
+    if not kept or kept[-1] in _OF_PEOPLE:
+        return None if kept else Noun("object", at, at + len(words), pronoun=True, qualifiers=_qualifiers(words), definite=article)
+    if kept[-1] in {"tool", "instrument", "utensil"} and not article:
+        return None
+    if kept[-1] in {"thing", "things", "stuff", "object", "item", "tool", "gadget", "device"}:
+        return Noun("object", at, at + len(words), pronoun=True, qualifiers=_qualifiers(words), definite=article)
+    return Noun(" ".join(kept[:4]), at, at + len(words), qualifiers=_qualifiers(words), definite=article)
+
+
+def _part_of(words: Sequence[str], thing: Mention[Thing], start: int, end: int, at: int) -> Noun:
+    owner = Noun(thing.value.name, at, at + thing.end, thing=thing.value, qualifiers=_qualifiers(words[: thing.start]))
+    text = " ".join(words[start:end])
+    return Noun(text, at, at + end, part=text, owner=owner, definite=True)
+
+
+def _only_qualifies(words: Sequence[str], part: Mention[str]) -> bool:
+    """Whether a word like "top" says which one: "the top drawer"."""
+    return part.end < len(words) and all(word in QUALIFIERS for word in words[part.start : part.end])
+
+
+def _qualifiers(words: Sequence[str]) -> tuple[str, ...]:
+    """The plain qualifiers in some words: "big", "yellow-handled" -> ("large", "yellow")."""
+    plain = (word.split("-")[0] if word not in QUALIFIERS else word for word in words)
+    return tuple(dict.fromkeys(QUALIFIERS[word][1] for word in plain if word in QUALIFIERS))

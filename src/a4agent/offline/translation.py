@@ -1,0 +1,104 @@
+"""Instructions in German, French, Spanish, Italian and Dutch, word by word into English: `languages.toml`.
+
+    in_english("nimm die rote tasse")   -> "take the red cup"
+    in_english("open the door")         -> "open the door"
+    in_english("otwórz drzwi")          -> None: not in the tables
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+from a4agent.files import read_package_toml
+from a4agent.offline.knowledge import knowledge, stem
+from a4agent.offline.spelling import COMMON
+
+_ENOUGH = 0.75
+"""The share of a foreign sentence's words that must be in its table."""
+
+
+@dataclass(frozen=True)
+class _Language:
+    frames: tuple[tuple[str, str], ...]
+    words: Mapping[tuple[str, ...], str]
+
+
+@lru_cache(maxsize=1)
+def _languages() -> tuple[_Language, ...]:
+    table = read_package_toml("a4agent.offline", "languages.toml")
+    return tuple(
+        _Language(
+            tuple((pattern, english) for pattern, english in row["frames"]),
+            {tuple(word.split()): english for word, english in row["words"].items()},
+        )
+        for row in table.values()
+    )
+
+
+def in_english(text: str) -> str | None:
+    """The text (lower case) in English, None if it is in a language that the tables do not cover."""
+    letters = [character for character in text if character.isalpha()]
+    plain = _without_accents(text)
+    if not letters or sum(character.isascii() for character in plain if character.isalpha()) < len(letters):
+        return None
+    said = re.findall(r"[a-z0-9]+(?:-[a-z0-9]+)*", plain)
+    english = sum(_is_english(word) for word in said)
+    if english >= 0.8 * len(said) and plain == text:
+        return text
+    best = max(_languages(), key=lambda language: _known(said, language))
+    known = _known(said, best)
+    if known <= english:
+        return text if english >= 0.3 * len(said) else None
+    if known < _ENOUGH * len(said):
+        return None
+    for pattern, frame in best.frames:
+        plain = re.sub(pattern, frame, plain)
+    return _translated(re.findall(r"[a-z0-9]+(?:-[a-z0-9]+)*|[,;:.!?]", plain), best)
+
+
+def _without_accents(text: str) -> str:
+    """ "öffne" -> "offne", "d'eau" -> "de eau"."""
+    decomposed = unicodedata.normalize("NFKD", text.replace("ß", "ss"))
+    return re.sub(r"\b([dlsjn]|qu)'(?=[a-z]{2})", r"\1e ", "".join(c for c in decomposed if not unicodedata.combining(c)))
+
+
+def _is_english(word: str) -> bool:
+    return word in COMMON or word in knowledge().written or stem(word) in knowledge().action_index
+
+
+def _known(said: Sequence[str], language: _Language) -> int:
+    return sum(length for _, length in _matches(said, language) if length)
+
+
+def _translated(said: Sequence[str], language: _Language) -> str:
+    return " ".join(english if length else said[at] for at, (english, length) in _placed(said, language))
+
+
+def _placed(said: Sequence[str], language: _Language) -> list[tuple[int, tuple[str, int]]]:
+    placed: list[tuple[int, tuple[str, int]]] = []
+    at = 0
+    for english, length in _matches(said, language):
+        placed.append((at, (english, length)))
+        at += max(length, 1)
+    return placed
+
+
+def _matches(said: Sequence[str], language: _Language) -> list[tuple[str, int]]:
+    """For each step through the words, the English for the longest known phrase and its length; 0 if unknown."""
+    found: list[tuple[str, int]] = []
+    at = 0
+    while at < len(said):
+        for length in (4, 3, 2, 1):
+            phrase = tuple(said[at : at + length])
+            if len(phrase) == length and phrase in language.words:
+                found.append((language.words[phrase], length))
+                at += length
+                break
+        else:
+            found.append(("", 0))
+            at += 1
+    return found
