@@ -13,12 +13,12 @@ picture, a tool for the job, what things of an unknown kind usually have.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from a4agent.offline.knowledge import Knowledge, Part, Thing, knowledge, stem
-from a4agent.offline.language import DEFINITE, SENSES, Noun, Reading, Verb, read
+from a4agent.offline.language import SENSES, Noun, Reading, Verb, read
 
 EXAMPLES = "Try 'open the drawer' or 'pick up the mug'."
 
@@ -99,7 +99,7 @@ class _Decider:
     know: Knowledge
 
     def decide(self) -> Decision | None:
-        rules = (self._named_part, self._asked_part, self._held, self._known_thing, self._pronoun, self._tool, self._guess)
+        rules = (self._named_part, self._asked_part, self._held, self._known_thing, self._pronoun, self._tool, self._guess, self._any_part)
         return next((found for rule in rules if (found := rule())), None)
 
     # ---- a part that is named
@@ -210,8 +210,8 @@ class _Decider:
         noun = next((n for n in self._candidates if n.thing), None)
         if noun and noun.thing and (part := self._part(noun.thing, "grasp")):
             return _held(noun, part)
-        if any(n.definite and not n.pronoun and n.part is None and not n.generic for n in self.reading.nouns):
-            return None
+        if any(n.definite and not n.pronoun for n in self._own_nouns if n.part is None and not n.generic):
+            return self._guess()
         tool = self._reached_for()
         if tool and (part := self._part(tool[0], "grasp")):
             return _held(Noun(tool[0].name, 0, 0, thing=tool[0]), part)
@@ -232,10 +232,15 @@ class _Decider:
 
     def _known_thing(self) -> Decision | None:
         candidates = self._candidates
+        if any(n.pronoun and n.role == "object" for n in self.reading.nouns):  # "hang it on a hook"
+            candidates = [noun for noun in candidates if noun.role != "place"]
         if not candidates:
             return None
+        verbs = list(self.reading.verbs)
+        if asked := self._asked_after(candidates):
+            verbs = [asked]
+            candidates = sorted(candidates, key=lambda noun: not (noun.thing and noun.thing.part_for("open")))
         tool = None if candidates[0].role == "tool" else (self._reached_for() or self._by_verb_alone())
-        verbs = self.reading.verbs
         unknown_tool = next((n for n in self.reading.nouns if n.role == "tool" and not n.thing and not n.pronoun), None)
         for verb in verbs:
             if self._leads_on(verb):
@@ -264,6 +269,11 @@ class _Decider:
             part = self._part(noun.thing, "grasp") or noun.thing.parts[0]
             return _decision(noun, part, "grasp", f"The sentence names only the {noun.name}, so it will be picked up.")
         return None
+
+    def _asked_after(self, candidates: Sequence[Noun]) -> Verb | None:
+        """What a second sentence asks to pull, after the first told where things are."""
+        verb = next((v for v in self.reading.verbs if {"pull", "open"} & set(v.actions)), None)
+        return verb if verb and "." in self.reading.words[candidates[-1].end : verb.start] else None
 
     @property
     def _states(self) -> bool:
@@ -296,11 +306,14 @@ class _Decider:
 
     def _pronoun(self) -> Decision | None:
         """What is done to whatever is in the picture."""
-        unknown = any(n.thing is None and n.part is None and not n.pronoun and not n.generic for n in self._own_nouns)
+        emits = any("emit" in verb.actions for verb in self.reading.verbs)
+        unknown = not emits and any(n.thing is None and n.part is None and not n.pronoun and not n.generic for n in self._own_nouns)
         goal = next((n for n in self.reading.nouns if n.pronoun and n.role == "goal"), None)
-        if unknown or self._things:
+        if unknown or any(n.thing and n.role != "place" for n in self.reading.nouns):
             return None
-        points = any(n.pronoun or n.generic for n in self.reading.nouns) or (not self.reading.nouns and self._asks)
+        if not self.seen and self._reached_for():
+            return None
+        points = emits or any(n.pronoun or n.generic for n in self.reading.nouns) or (not self.reading.nouns and self._asks)
         if not points:
             return None
         for verb in self.reading.verbs:
@@ -316,7 +329,7 @@ class _Decider:
     @property
     def _own_nouns(self) -> list[Noun]:
         """Nouns that are acted on, without what is only a place or a helper."""
-        flat = [n.owner if n.generic and n.owner else n for n in self.reading.nouns]
+        flat = [replace(n.owner, role="object") if n.generic and n.owner else n for n in self.reading.nouns]
         return [n for n in flat if n.role in ("object", "tool", "aim") and n.definite]
 
     @property
@@ -341,7 +354,7 @@ class _Decider:
     def _tool(self) -> Decision | None:
         if any(n.role == "tool" and n.definite and not n.thing and not n.pronoun for n in self.reading.nouns):
             return None
-        tool = self._reached_for()
+        tool = self._vessel() or self._reached_for()
         if tool is None:
             if self._guess():
                 return None
@@ -355,6 +368,8 @@ class _Decider:
 
     def _reached_for(self) -> tuple[Thing, str] | None:
         """The tool for what is to be done, and the action: by verb and what it is done to, then by a wish."""
+        if tool := self._named_by_verb():
+            return tool
         themes = self.know.find_themes(self.reading.words)
         verbs = [verb for verb in self.reading.verbs if set(verb.actions) != {"grasp"}] or list(self.reading.verbs)
         for verb in verbs:
@@ -363,6 +378,24 @@ class _Decider:
                     if action in verb.actions:
                         return self.know.objects[name], action
         return self._wished()
+
+    def _named_by_verb(self) -> tuple[Thing, str] | None:
+        """The tool that a verb is named after: "mop the floor", "ladle the soup"."""
+        for verb in self.reading.verbs:
+            word = verb.text.split()[0]
+            usual = self.know.default_index.get(word, (word,))[0]  # one scoops with a spoon
+            thing = self.know.objects.get(word) if usual == word else None
+            for action in verb.actions if thing else ():
+                if thing and action != "grasp" and thing.part_for(action):
+                    return thing, action
+        return None
+
+    def _vessel(self) -> tuple[Thing, str] | None:
+        """What a drink is in, when a hand takes it: "hold my coffee"."""
+        if not any(set(verb.actions) & {"grasp", "drink"} for verb in self.reading.verbs[:1]):
+            return None
+        pairs = (pair for theme in self.know.find_themes(self.reading.words) for pair in theme.value)
+        return next(((self.know.objects[name], "grasp") for action, name in pairs if action == "drink"), None)
 
     def _by_verb_alone(self) -> tuple[Thing, str] | None:
         """What is reached for to do such a thing to anything."""
@@ -403,6 +436,13 @@ class _Decider:
                 return Decision(noun.name, part, why, verb.text, sure=False)
         return None
 
+    def _any_part(self) -> Decision | None:
+        """Any part at all that a hand is to move: "turn the steering wheel"."""
+        noun = next((n for n in self.reading.nouns if n.part and n.definite and n.role == "object"), None)
+        if noun is None or not (self.reading.verbs and set(self.reading.verbs[0].actions) & _BY_HAND):
+            return None
+        return Decision("object", noun.name, f"The instruction itself names the {noun.name}.", self._action or "use")
+
     def _is_idea(self, noun: Noun) -> bool:
         words = noun.text.split()
         return any(stem(words[-count:]) in self.know.untouchable for count in (1, 2, 3))
@@ -420,6 +460,8 @@ class _Decider:
 
 def _actions_on(noun: Noun, verb: Verb) -> tuple[str, ...]:
     """What a verb does to a thing: what is poured or put into it, it contains."""
+    if noun.role == "tool" and "grasp" in verb.actions:
+        return ("clamp", "spear", "scoop", *(action for action in verb.actions if action != "grasp"), "grasp")
     if noun.role == "goal" and {"pour", "grasp", "contain", "throw"} & set(verb.actions):
         return ("contain", *verb.actions)
     return verb.actions

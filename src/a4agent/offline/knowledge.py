@@ -164,6 +164,8 @@ def knowledge() -> Knowledge:
     for action, verbs in table["actions"].items():
         for verb in dict.fromkeys((action, *verbs)):
             actions.setdefault(stem(verb), []).append(action)
+    for verb, named in actions.items():
+        named.sort(key=lambda action: stem(action) != verb)
     themes: dict[tuple[str, ...], list[tuple[str, str]]] = {}
     defaults: dict[str, list[str]] = {}
     for thing in objects.values():

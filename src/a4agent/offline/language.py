@@ -172,7 +172,7 @@ class Noun:
     @property
     def generic(self) -> bool:
         """Whether this is "the part" of something, whichever that may be."""
-        return self.part is None and self.thing is None and self.text.rsplit(" ", maxsplit=1)[-1] in GENERIC_PARTS
+        return self.definite and self.part is None and self.thing is None and self.text.rsplit(" ", maxsplit=1)[-1] in GENERIC_PARTS
 
 
 @dataclass(frozen=True)
@@ -219,9 +219,12 @@ def read(instruction: str) -> Reading | None:
         replace(verb, start=verb.start + len(words), end=verb.end + len(words), purpose=True)
         for verb in _verbs(after, know)
     ]
-    if _WHERE_TO_PUT.search(main):
-        verbs = [replace(verb, actions=("contain",)) for verb in verbs]
+    to_put = bool(_WHERE_TO_PUT.search(main)) and not _HOLD.search(main)
+    if to_put:
+        verbs = [replace(verb, text="fill", actions=("contain",)) for verb in verbs]
     nouns = _nouns(words, verbs, know)
+    if to_put:
+        nouns = [noun for noun in nouns if noun.role != "object" or noun.pronoun]
     more = _nouns(after, _verbs(after, know), know)
     nouns += [replace(noun, start=noun.start + len(words), end=noun.end + len(words)) for noun in more]
     out = tokens(ruled_out)
@@ -374,6 +377,8 @@ def _is_verb(words: Sequence[str], mention: Mention[tuple[str, ...]], know: Know
         return False
     if before in QUALIFIERS:
         return False
+    if before in {"which", "what"} and written[-1] in GENERIC_PARTS:
+        return False
     if before in {"that", "which", "what"}:
         return after not in MARKS or not noun
     if before in _BEFORE_VERBS:
@@ -385,7 +390,7 @@ _OF_PEOPLE = _set("hand hands finger fingers thumb palm foot feet grip way time"
 """What is not in the picture as a thing to act on."""
 
 
-def _nouns(words: Sequence[str], verbs: Sequence[Verb], know: Knowledge) -> list[Noun]:
+def _nouns(words: list[str], verbs: Sequence[Verb], know: Knowledge) -> list[Noun]:
     """The noun phrases in order, owners attached: "the handle of the mug" is one."""
     in_verb = {index for verb in verbs for index in range(verb.start, verb.end)}
     found: list[Noun] = []
@@ -413,7 +418,7 @@ def _add(found: list[Noun], noun: Noun, role: Role) -> None:
     last = found[-1] if found else None
     if last and role in ("owner", "place", "goal") and noun.start - last.end <= 3 and last.owner is None:
         of = role == "owner"
-        if last.generic and of:
+        if last.text.split()[-1] in GENERIC_PARTS and of:
             found[-1] = replace(last, owner=noun, end=noun.end)
             return
         fits = noun.thing is not None and last.part is not None and noun.thing.part_named(last.part)
@@ -428,7 +433,7 @@ def _add(found: list[Noun], noun: Noun, role: Role) -> None:
     found.append(noun)
 
 
-def _phrase(words: Sequence[str], start: int, in_verb: set[int], know: Knowledge) -> Noun | None:
+def _phrase(words: list[str], start: int, in_verb: set[int], know: Knowledge) -> Noun | None:
     """The noun phrase that starts at a word."""
     index = start
     while index < len(words) and words[index] in _DETERMINERS and index not in in_verb:
@@ -440,6 +445,8 @@ def _phrase(words: Sequence[str], start: int, in_verb: set[int], know: Knowledge
     run = list(words[index:end])
     if not run:
         single = words[start : start + 1]
+        if single == ["one"] and start + 1 in in_verb:  # "where does one sit"
+            return None
         if index > start and single[0] in _PRONOUNS or single[0] in _PRONOUNS and index == start:
             return Noun("object", start, max(index, start + 1), definite=True, pronoun=True)
         return None
@@ -496,6 +503,8 @@ def _named(
         return None
     if kept[-1] in {"thing", "things", "stuff", "object", "item", "tool", "gadget", "device"}:
         return Noun("object", at, at + len(words), pronoun=True, qualifiers=_qualifiers(words), definite=article)
+    if kept[-1] in GENERIC_PARTS and not article:
+        return Noun(" ".join(kept[:4]), at, at + len(words), qualifiers=_qualifiers(words))
     return Noun(" ".join(kept[:4]), at, at + len(words), qualifiers=_qualifiers(words), definite=article)
 
 

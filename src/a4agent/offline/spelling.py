@@ -113,20 +113,23 @@ def _possible(word: str, other: str) -> bool:
     """Whether one may be typed for the other: the first letter is rarely wrong, and short words differ by more."""
     if len(other) < 3 or (word[0] != other[0] and sorted(word[:2]) != sorted(other[:2])):
         return False
+    if abs(len(word) - len(other)) > 1 and (word.startswith(other) or other.startswith(word)):
+        return False  # "decanter" is a word of its own
     if len(word) == 3:
         return len(other) == 4 or sorted(word) == sorted(other)
     return len(word) > 4 or _slip(word, other) < 3
 
 
 def _slip(word: str, other: str) -> int:
-    """How unlikely a slip is: swapped letters, a doubled letter or wrong vowel, a missing or added letter, any other."""
+    """How unlikely a slip is: swapped letters, a doubled letter or wrong vowel, a missing, an added, a wrong letter."""
     if sorted(word) == sorted(other):
         return 0
     if len(word) == len(other):
         wrong = {letter for pair in zip(word, other, strict=True) if pair[0] != pair[1] for letter in pair}
-        return 1 if wrong <= _VOWELS else 3
-    longer, shorter = sorted((word, other), key=len, reverse=True)
-    return 1 if re.sub(r"(.)\1+", r"\1", longer) == re.sub(r"(.)\1+", r"\1", shorter) else 2
+        return 1 if wrong <= _VOWELS else 4
+    if re.sub(r"(.)\1+", r"\1", word) == re.sub(r"(.)\1+", r"\1", other):
+        return 1
+    return 2 if len(other) > len(word) else 3
 
 
 def _unlikelihood(word: str, other: str) -> tuple[int, bool, int]:
