@@ -10,68 +10,14 @@ half by its hash; `--failures` lists what goes wrong in the other half only.
 from __future__ import annotations
 
 import argparse
-import csv
-import hashlib
+import sys
 import time
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 
-from a4agent.offline.decisions import decide
-from a4agent.offline.knowledge import knowledge, stem
-from a4agent.offline.phrases import Wanted, wanted
+sys.path.append(str(Path(__file__).parent.parent / "tests"))
 
-FILE = Path(__file__).parents[1] / "tests" / "offline" / "sentences.tsv"
-
-
-@dataclass(frozen=True)
-class Row:
-    """One sentence; `answers` are phrases, empty if it must be refused."""
-
-    kind: str
-    seen: tuple[str, ...]
-    sentence: str
-    answers: tuple[str, ...]
-
-    @property
-    def held_out(self) -> bool:
-        return hashlib.sha256(self.sentence.encode()).digest()[0] % 2 == 0
-
-    def right(self) -> bool:
-        answer = decide(self.sentence, self.seen).phrase
-        return any(same(answer, wished) for wished in self.answers) if self.answers else not answer
-
-    def failure(self) -> str:
-        return f"{self.kind}: {self.sentence!r} {list(self.seen)}: {decide(self.sentence, self.seen).phrase!r}, not {' | '.join(self.answers)!r}"
-
-
-def read(path: Path = FILE) -> list[Row]:
-    """The rows of a tab-separated file of sentences."""
-    with path.open(encoding="utf-8") as lines:
-        return [
-            Row(row["kind"], _split(row["seen"], ","), row["sentence"], _split(row["answers"], "|"))
-            for row in csv.DictReader(lines, delimiter="\t", quoting=csv.QUOTE_NONE)
-        ]
-
-
-def _split(text: str | None, mark: str) -> tuple[str, ...]:
-    return tuple(item.strip() for item in (text or "").split(mark) if item.strip())
-
-
-def same(answer: str, wished: str) -> bool:
-    """Whether two phrases mean the same part of the same thing, whatever names are used for them."""
-    return bool(answer) and (answer == wished or _meaning(answer) == _meaning(wished))
-
-
-def _meaning(phrase: str) -> tuple[str, str, Wanted]:
-    part, _, owner = phrase.removeprefix("the ").partition(" of the ")
-    read_as = wanted(phrase)
-    if read_as.object is None:
-        return " ".join(stem(part)), " ".join(stem(owner)), read_as
-    thing = knowledge().objects[read_as.object]
-    names = (thing.part_named(" ".join(part.split()[start:])) for start in range(len(part.split())))
-    named = next((known.name for known in names if known), part)
-    return named, "", read_as
+from sentence_bank import FILE, read
 
 
 def main() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sys
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -10,9 +12,9 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from a4agent import prompts
-from a4agent.errors import UnreadableAnswer
+from a4agent.errors import RefusedAnswer, UnreadableAnswer
 from a4agent.offline import create
-from a4agent.offline.reasoner import dreamer_task, thinker_task
+from a4agent.offline.reasoner import dreamer_task, things_in, thinker_task
 from a4agent.prompts import fill
 from a4agent.protocols import ChatAnswer, ChatRequest
 
@@ -37,11 +39,22 @@ def test_the_thinkers_form(template: str) -> None:
     }
 
 
-@pytest.mark.parametrize("instruction", ["translate this letter", "abre la puerta"])
-def test_no_answer_is_an_empty_part_and_stays_one(instruction: str) -> None:
-    first, second = ask(fill(TWO, instruction)), ask(fill(TWO, instruction))
-    assert first == second
-    assert json.loads(first.partition("### Output")[2])["object_part"] == ""
+def test_a_refusal_is_one_plain_sentence_with_an_example() -> None:
+    request = ChatRequest(images=(), text=fill(TWO, "translate this letter"))
+    answer = create("reasoner", "vlm").chat([request])[0]
+    assert isinstance(answer, RefusedAnswer)
+    assert str(answer) == (
+        "I do not know which part of which thing is meant by 'translate this letter'. "
+        "Try 'open the drawer' or 'pick up the mug'."
+    )
+
+
+def test_what_the_network_sees_meets_the_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = [SimpleNamespace(kinds={"mug": 0.9, "knife": 0.04, "none": 0.06}), SimpleNamespace(kinds={"none": 1.0})]
+    monkeypatch.setitem(sys.modules, "a4agent.offline.eye", SimpleNamespace(look=lambda image, threads: seen))
+    assert things_in(Image.new("RGB", (8, 8))) == (("mug",), frozenset(["knife"]))
+    assert '"the handle of the mug"' in ask(fill(TWO, "drink from this"))
+    assert "I see no knife: the picture shows a mug." in ask(fill(TWO, "cut the bread"))
 
 
 def test_the_dreamers_form() -> None:
@@ -74,7 +87,8 @@ def test_the_task_comes_out_of_the_templates_as_it_went_in(task: str) -> None:
 
 @given(st.text())
 def test_it_has_an_answer_to_everything(task: str) -> None:
-    assert "### Output" in ask(fill(TWO, task.replace('"', "'")))
+    answer = create("reasoner", "vlm").chat([ChatRequest(images=(), text=fill(TWO, task.replace('"', "'")))])[0]
+    assert isinstance(answer, RefusedAnswer) or (isinstance(answer, ChatAnswer) and "### Output" in answer.text)
 
 
 def test_a_batch_keeps_its_order() -> None:

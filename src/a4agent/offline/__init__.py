@@ -18,7 +18,7 @@ def create(model: str, role: Role, *, threads: int = 0) -> Expert:
     Args:
         model: "reasoner" (role vlm) or "parts" (roles detector and segmenter).
         role: what it is to be.
-        threads: CPU threads for the network of "parts"; 0 leaves the choice to onnxruntime.
+        threads: CPU threads for the network; 0 leaves the choice to onnxruntime.
 
     Raises:
         UnknownNameError: there is no such model.
@@ -32,7 +32,7 @@ def create(model: str, role: Role, *, threads: int = 0) -> Expert:
     if model == "reasoner" and role == "vlm":
         from a4agent.offline.reasoner import OfflineReasoner
 
-        return OfflineReasoner()
+        return OfflineReasoner(threads=threads)
     if model == "parts":
         from a4agent.offline.saliency import weights_path
 

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from a4agent.offline.knowledge import Knowledge, Part, Thing, knowledge, stem
+from a4agent.offline.knowledge import QUALIFIERS, Knowledge, Part, Thing, knowledge, stem
 from a4agent.offline.language import SENSES, Noun, Reading, Verb, read
 
 EXAMPLES = "Try 'open the drawer' or 'pick up the mug'."
@@ -48,8 +48,12 @@ class Decision:
         return f"the {self.part_name} of the {self.object_name}"
 
 
-_FACTS = re.compile(r"(?:who|whose|whom|why|when (?:did|do|does|is|was|were|will)|what (?:time|day|year|is the (?!handle|part)))\b")
-_BY_HAND = frozenset(["activate", "adjust", "close", "fasten", "grasp", "open", "press", "pull", "push", "turn", "hang"])
+_FACTS = re.compile(
+    r"(?:who|whose|whom|why|when (?:did|do|does|is|was|were|will)|what (?:time|day|year|is the (?!handle|part)))\b"
+)
+_BY_HAND = frozenset(
+    ["activate", "adjust", "close", "fasten", "grasp", "open", "press", "pull", "push", "turn", "hang"]
+)
 _UNDERGONE = frozenset(["climb", "drink", "kick", "lie", "play", "ride", "sit", "throw", "wear", "contain"])
 """Actions that a named thing undergoes itself: nobody reaches for a ball to kick a door."""
 _INSTEAD = {
@@ -63,12 +67,13 @@ _INSTEAD = {
 
 
 @lru_cache(maxsize=512)
-def decide(instruction: str, seen: tuple[str, ...] = ()) -> Decision:
+def decide(instruction: str, seen: tuple[str, ...] = (), missing: frozenset[str] = frozenset()) -> Decision:
     """Decide, or say why not. The same instruction and things seen always get the same answer.
 
     Args:
         instruction: what somebody typed.
         seen: kinds of things in the picture, the likeliest first; names of knowledge.toml.
+        missing: kinds that the network knows and did not find.
     """
     reading = read(instruction)
     if reading is None:
@@ -78,16 +83,21 @@ def decide(instruction: str, seen: tuple[str, ...] = ()) -> Decision:
     know = knowledge()
     things = tuple(thing for name in seen if (thing := know.object_named(name)))
     found = _Decider(reading, things, know).decide() or _refused(instruction)
-    return _compared(found, things, know)
+    return _compared(found, things, missing, know)
 
 
-def _compared(found: Decision, seen: tuple[Thing, ...], know: Knowledge) -> Decision:
+def _compared(found: Decision, seen: tuple[Thing, ...], missing: frozenset[str], know: Knowledge) -> Decision:
     """The decision, saying so if the named thing is not among those in the picture."""
-    thing = know.object_named(found.object_name or "")
-    if not seen or thing is None or any(other.kind == thing.kind for other in seen):
+    thing = know.object_named(_without_qualifiers(found.object_name or ""))
+    if thing is None or thing.kind not in missing:
         return found
-    because = f"{found.because} In the picture I recognise {_listed([other.key for other in seen])}, not {_a(thing.key)}."
-    return Decision(found.object_name, found.part_name, because, found.action, sure=False)
+    shown = f"shows {_listed([other.key for other in seen])}" if seen else "does not show it clearly"
+    because = f"{found.because} I see no {thing.key}: the picture {shown}."
+    return replace(found, because=because, sure=False)
+
+
+def _without_qualifiers(name: str) -> str:
+    return " ".join(word for word in name.split() if word not in QUALIFIERS) or name
 
 
 @dataclass(frozen=True)
@@ -99,7 +109,16 @@ class _Decider:
     know: Knowledge
 
     def decide(self) -> Decision | None:
-        rules = (self._named_part, self._asked_part, self._held, self._known_thing, self._pronoun, self._tool, self._guess, self._any_part)
+        rules = (
+            self._named_part,
+            self._asked_part,
+            self._held,
+            self._known_thing,
+            self._pronoun,
+            self._tool,
+            self._guess,
+            self._any_part,
+        )
         return next((found for rule in rules if (found := rule())), None)
 
     # ---- a part that is named
@@ -110,6 +129,8 @@ class _Decider:
             if noun.part is None or (noun.thing and noun.owner is None):
                 continue
             owner = noun.owner
+            if noun.role == "object" and self._has_tool():
+                continue
             if owner is None and (self._is_remark(noun) or (noun.role == "tool" and self._things)):
                 continue
             if owner is None and not self._part_is_meant(noun, nouns[:place]):
@@ -118,10 +139,28 @@ class _Decider:
                 owner = self._owner_of(noun, nouns[:place], nouns[place + 1 :])
             if owner is None:
                 continue
-            name = _owner_name(owner)
+            if handle := self._handle_instead(noun, owner):
+                return _decision(
+                    owner, handle, "open", f"To move the {noun.text}, use the {handle.name} of the {owner.name}."
+                )
+            name = owner.name
             why = f"The instruction itself names the {noun.name} of the {name}."
             return Decision(name, noun.name, why, self._action or "use")
         return None
+
+    def _has_tool(self) -> bool:
+        """Whether a tool is named that does what the sentence asks: "pry the lid off with a screwdriver"."""
+        tools = [noun.thing for noun in self.reading.nouns if noun.role == "tool" and noun.thing]
+        done = [action for verb in self.reading.verbs for action in verb.actions if action != "grasp"]
+        return any(tool.part_for(action) for tool in tools for action in done)
+
+    def _handle_instead(self, noun: Noun, owner: Noun) -> Part | None:
+        """What moves a named part that a hand does not take itself: "open the door of the fridge"."""
+        part = owner.thing.part_named(noun.part or "") if owner.thing else None
+        opens = next((action for action in self._wanted_actions if action in ("open", "close")), None)
+        if part is None or opens is None or owner.thing is None or opens in part.affords:
+            return None
+        return owner.thing.part_for(opens)
 
     def _is_remark(self, noun: Noun) -> bool:
         """Whether the sentence only tells how a part is: "the body is hot"."""
@@ -133,11 +172,19 @@ class _Decider:
         if noun.role == "aim":
             return True
         if noun.role == "place":
-            return bool(before) and any(n.thing is None or n.thing.part_named(noun.part or "") for n in before if not n.part)
+            return bool(before) and any(
+                n.thing is None or n.thing.part_named(noun.part or "") for n in before if not n.part
+            )
+        if not self.reading.verbs and len(self.reading.nouns) == 1:  # "the lid, please"
+            return len(self.reading.words) < 7
         if not noun.definite:
             return False
         stands_alone = stem(noun.part or "") not in self.know.theme_index and noun.part in self.know.first_part_names
-        return stands_alone or self._is_handled(noun.part or "") or any(t.part_named(noun.part or "") for t in self._things)
+        return (
+            stands_alone
+            or self._is_handled(noun.part or "")
+            or any(t.part_named(noun.part or "") for t in self._things)
+        )
 
     def _is_handled(self, name: str) -> bool:
         """Whether a part of this name is there for a hand to do what the first verb says: "press the stop button"."""
@@ -151,11 +198,15 @@ class _Decider:
 
     def _owner_of(self, part: Noun, before: Sequence[Noun], after: Sequence[Noun]) -> Noun | None:
         """Whose part it is: a thing that is named before or after, one in the picture, a tool, or "the object"."""
-        candidates = [n for n in (*reversed(before), *after) if (n.part is None or n.thing) and not n.generic and n.owner is None]
+        candidates = [
+            n for n in (*reversed(before), *after) if (n.part is None or n.thing) and not n.generic and n.owner is None
+        ]
         for noun in candidates:
             if noun.thing and noun.thing.part_named(part.part or ""):
                 return noun
-        unknown = next((n for n in candidates if n.thing is None and not n.pronoun and n.definite and n.role == "object"), None)
+        unknown = next(
+            (n for n in candidates if n.thing is None and not n.pronoun and n.definite and n.role == "object"), None
+        )
         if part.role in ("aim", "place") and unknown:
             return unknown
         if part.role == "aim" and candidates and candidates[0].thing:
@@ -184,18 +235,20 @@ class _Decider:
                 return self._of_anything(sense[0], sense[0])
             return None
         thing = owner.thing
-        if sense and (part := self._part(thing, sense[0])):
-            return _decision(owner, part, sense[0], f"The {part.name} is that part of the {owner.name}.")
         if self._holds and (part := self._part(thing, "grasp")):
             return _held(owner, part)
+        if sense and (part := self._part(thing, sense[0])):
+            return _decision(owner, part, sense[0], f"That is the {part.name} of the {owner.name}.")
         for action in wanted:
             if part := self._part(thing, action):
-                return _decision(owner, part, action, f"The {part.name} of the {owner.name} is there to {action}.")
+                return _decision(
+                    owner, part, action, f"To {self._spoken(action)}, use the {part.name} of the {owner.name}."
+                )
         for action in (other for one in wanted for other in _INSTEAD.get(one, ())):
             if part := self._part(thing, action):
-                return _decision(owner, part, action, f"The {part.name} of the {owner.name} comes closest to that.")
+                return _decision(owner, part, action, f"For that, use the {part.name} of the {owner.name}.")
         part = next((part for part in thing.parts if part.affords and "grasp" not in part.affords), thing.parts[0])
-        return _decision(owner, part, "use", f"The {owner.name} does its work with its {part.name}.")
+        return _decision(owner, part, "use", f"That is the {part.name} of the {owner.name}.")
 
     # ---- "where do I hold it?"
 
@@ -228,7 +281,7 @@ class _Decider:
         """Known things, tools first, then what is acted on, then places."""
         order = {"tool": 0, "object": 1, "aim": 1, "owner": 2, "place": 2, "goal": 3}
         flat = [noun.owner if noun.owner and noun.generic else noun for noun in self.reading.nouns]
-        return sorted((noun for noun in flat if noun.thing), key=lambda noun: order[noun.role])
+        return sorted((n for n in flat if n.thing), key=lambda n: (order[n.role], self._is_remark(n)))
 
     def _known_thing(self) -> Decision | None:
         candidates = self._candidates
@@ -249,25 +302,27 @@ class _Decider:
                 return None
             first = candidates[0].thing
             if tool and tool[1] in verb.actions and tool[1] not in _UNDERGONE and first and not _affords(first, verb):
-                if part := self._part(tool[0], tool[1]):
-                    return _decision(_noun(tool[0]), part, tool[1], f"To {verb.text} that, {_a(tool[0].name)} is used.")
+                part = self._part(*tool)
+                return part and _decision(_noun(tool[0]), part, tool[1], self._tool_for(tool[1], tool[0], part))
             for noun in candidates:
                 for action in _actions_on(noun, verb):
                     if noun.thing and (part := self._part(noun.thing, action)):
-                        return _decision(noun, part, action, _used_for(verb, action, noun, part))
+                        return _decision(noun, part, action, _used_for(verb, noun, part))
         for verb in verbs:
             for action in self._instead(verb):
                 for noun in candidates:
                     if noun.thing and (part := self._part(noun.thing, action)):
-                        why = f"To do that, {action} the {noun.name} at its {part.name}."
+                        why = f"For that, use the {part.name} of the {noun.name}."
                         return _decision(noun, part, action, why)
         wish = self._wished()
         if wish and (part := self._part(*wish)):
-            return _decision(_noun(wish[0]), part, wish[1], f"{_a(wish[0].name).capitalize()} would help.")
+            return _decision(
+                _noun(wish[0]), part, wish[1], f"{_a(wish[0].name).capitalize()} would help: use the {part.name}."
+            )
         noun = candidates[0]
         if not verbs and noun.thing and len(candidates) == 1 and not self._states:
             part = self._part(noun.thing, "grasp") or noun.thing.parts[0]
-            return _decision(noun, part, "grasp", f"The sentence names only the {noun.name}, so it will be picked up.")
+            return _decision(noun, part, "grasp", f"Only the {noun.name} is named: hold the {part.name}.")
         return None
 
     def _asked_after(self, candidates: Sequence[Noun]) -> Verb | None:
@@ -292,10 +347,14 @@ class _Decider:
 
     def _part(self, thing: Thing, action: str) -> Part | None:
         """The part that affords an action and is not ruled out; for a hand, any part that does not cut."""
-        ruled_out = {noun.part for noun in self.reading.unwanted if noun.part}
-        ruled_out_actions = set(self.reading.unwanted_actions) - _BY_HAND if self.reading.unwanted_actions else set[str]()
-        banned = {part.name for part in thing.parts if ruled_out & {part.name, *part.also}}
-        banned |= {part.name for part in thing.parts if ruled_out_actions & set(part.affords) and "grasp" not in part.affords}
+        ruled_out = {stem(noun.part) for noun in self.reading.unwanted if noun.part}
+        ruled_out_actions = (
+            set(self.reading.unwanted_actions) - _BY_HAND if self.reading.unwanted_actions else set[str]()
+        )
+        banned = {part.name for part in thing.parts if ruled_out & {stem(name) for name in (part.name, *part.also)}}
+        banned |= {
+            part.name for part in thing.parts if ruled_out_actions & set(part.affords) and "grasp" not in part.affords
+        }
         part = next((p for p in thing.parts if action in p.affords and p.name not in banned), None)
         if part or action != "grasp" or not thing.part_for("grasp"):
             return part
@@ -307,13 +366,21 @@ class _Decider:
     def _pronoun(self) -> Decision | None:
         """What is done to whatever is in the picture."""
         emits = any("emit" in verb.actions for verb in self.reading.verbs)
-        unknown = not emits and any(n.thing is None and n.part is None and not n.pronoun and not n.generic for n in self._own_nouns)
+        unknown = not emits and any(
+            n.thing is None and n.part is None and not n.pronoun and not n.generic for n in self._own_nouns
+        )
         goal = next((n for n in self.reading.nouns if n.pronoun and n.role == "goal"), None)
         if unknown or any(n.thing and n.role != "place" for n in self.reading.nouns):
             return None
         if not self.seen and self._reached_for():
             return None
-        points = emits or any(n.pronoun or n.generic for n in self.reading.nouns) or (not self.reading.nouns and self._asks)
+        bare = not self.reading.nouns and len(self.reading.words) == 1
+        points = (
+            bare
+            or emits
+            or any(n.pronoun or n.generic for n in self.reading.nouns)
+            or (not self.reading.nouns and self._asks)
+        )
         if not points:
             return None
         for verb in self.reading.verbs:
@@ -322,7 +389,7 @@ class _Decider:
                 if self.reading.nouns and any(n.generic for n in self.reading.nouns) and not later.purpose:
                     continue
             actions = _actions_on(goal, verb) if goal else verb.actions
-            if found := self._of_anything(actions[0], verb.text if actions == verb.actions else actions[0], actions):
+            if found := self._of_anything(actions[0], verb.base if actions == verb.actions else actions[0], actions):
                 return found
         return None
 
@@ -341,13 +408,17 @@ class _Decider:
         for thing in self.seen:
             for one in (*(actions or (action,)), *_INSTEAD.get(action, ())):
                 if part := self._part(thing, one):
-                    return _decision(_noun(thing), part, one, f"In the picture, the {part.name} of the {thing.name} can {one}.")
+                    return _decision(
+                        _noun(thing), part, one, f"I see {_a(thing.name)}: to {self._spoken(one)}, use the {part.name}."
+                    )
         usual = self.know.usual_part.get(stem(spoken)) or self.know.usual_part.get(stem(action))
         noun = next((n for n in self.reading.nouns if n.pronoun), Noun("object", 0, 0, pronoun=True))
         name = " ".join((*noun.qualifiers, "object"))
         if usual and not re.search(r"\bpart\b.*\bcould\b", self.reading.text):
-            return Decision(name, usual, f"No thing is named; most things are held or used at a {usual} to {spoken}.", action, False)
-        return Decision(name, f"part that can {action}", f"No thing is named, so the part that can {action} is looked for.", action)
+            return Decision(name, usual, f"No thing is named; most things have {_a(usual)} to {spoken}.", action, False)
+        return Decision(
+            name, f"part that can {action}", f"No thing is named, so the part that can {action} is looked for.", action
+        )
 
     # ---- a tool for the job
 
@@ -363,7 +434,7 @@ class _Decider:
         if not tool or not part:
             return None
         thing, action = tool
-        why = f"To {action}, {_a(thing.name)} is used, with its {part.name}."
+        why = self._tool_for(action, thing, part)
         return _decision(_noun(thing), part, action, why)
 
     def _reached_for(self) -> tuple[Thing, str] | None:
@@ -389,6 +460,9 @@ class _Decider:
                 if thing and action != "grasp" and thing.part_for(action):
                     return thing, action
         return None
+
+    def _tool_for(self, action: str, thing: Thing, part: Part) -> str:
+        return f"To {self._spoken(action)}, use the {part.name} of {_a(thing.name)}."
 
     def _vessel(self) -> tuple[Thing, str] | None:
         """What a drink is in, when a hand takes it: "hold my coffee"."""
@@ -422,6 +496,7 @@ class _Decider:
         nouns = [noun for noun in self.reading.nouns if noun.thing is None and noun.part is None]
         for verb in verbs:
             usual = self.know.usual_part.get(stem(verb.text)) or self.know.usual_part.get((verb.actions[0],))
+            usual = usual or self._part_of_a_usual_tool(verb)
             by_hand = bool(set(verb.actions) & _BY_HAND) or verb.actions[0] in _UNDERGONE or verb.text == "pour"
             for noun in sorted(nouns, key=lambda n: (n.role != "tool", n.role == "place")):
                 noun = noun.owner if noun.generic and noun.owner else noun
@@ -432,9 +507,18 @@ class _Decider:
                 if noun.role == "place" and verb.actions[0] not in (*_UNDERGONE, "pour"):
                     continue
                 part = "handle" if self._holds else usual
-                why = f"I do not know this {noun.text}; most things have a {part} to {verb.text}."
+                why = f"I do not know this {noun.text}; most things have {_a(part)} to {verb.base}."
                 return Decision(noun.name, part, why, verb.text, sure=False)
         return None
+
+    def _part_of_a_usual_tool(self, verb: Verb) -> str | None:
+        """The part of the tool that is usually taken for such a job: one stirs with the bowl of a spoon."""
+        tools = (
+            (self.know.objects[name], action)
+            for action in verb.actions
+            for name in self.know.default_index.get(action, ())
+        )
+        return next((part.name for thing, action in tools if (part := thing.part_for(action))), None)
 
     def _any_part(self) -> Decision | None:
         """Any part at all that a hand is to move: "turn the steering wheel"."""
@@ -452,6 +536,10 @@ class _Decider:
         """The actions of the verbs; a relative clause's before those that only fetch ("find", "use")."""
         asked = [verb for verb in self.reading.verbs if verb.text in ("holds", "keeps")]
         return [*(["contain"] if asked else []), *(action for verb in self.reading.verbs for action in verb.actions)]
+
+    def _spoken(self, action: str) -> str:
+        """The speaker's own verb for an action."""
+        return next((verb.base for verb in self.reading.verbs if action in verb.actions), action)
 
     @property
     def _action(self) -> str | None:
@@ -475,32 +563,39 @@ def _noun(thing: Thing) -> Noun:
     return Noun(thing.name, 0, 0, thing=thing)
 
 
-def _owner_name(owner: Noun) -> str:
-    return owner.name
-
-
 def _decision(noun: Noun, part: Part, action: str, why: str) -> Decision:
     return Decision(noun.name, part.name, why, action)
 
 
 def _held(noun: Noun, part: Part) -> Decision:
-    return _decision(noun, part, "grasp", f"The {noun.name} is held by its {part.name}.")
+    return _decision(noun, part, "grasp", f"Hold the {noun.name} by {_its(noun)} {part.name}.")
 
 
-def _used_for(verb: Verb, action: str, noun: Noun, part: Part) -> str:
-    """Why this part, in the speaker's own verb where it is not inflected."""
-    spoken = verb.text if not verb.text.split()[0].endswith(("ing", "ed", "s")) else action
-    return f"To {spoken} with or at the {noun.name}, use its {part.name}."
+def _used_for(verb: Verb, noun: Noun, part: Part) -> str:
+    """Why this part, in the speaker's own verb."""
+    if noun.role == "object" and noun.start == verb.end:
+        return f"To {verb.base} the {noun.name}, use {_its(noun)} {part.name}."
+    return f"To {verb.base}, use the {part.name} of the {noun.name}."
+
+
+def _its(noun: Noun) -> str:
+    return "their" if _is_plural(noun.text) else "its"
+
+
+def _is_plural(name: str) -> bool:
+    return name.endswith("s") and not name.endswith(("ss", "us"))
 
 
 def _a(name: str) -> str:
-    """A name with its article; pairs need none."""
-    if name.endswith("s") and not name.endswith(("ss", "us")):
+    """A name with its article: "an iron", "a pair of scissors", "headphones"."""
+    if _is_plural(name):
         return f"a pair of {name}" if name in _PAIRS else name
     return f"{'an' if name[0] in 'aeiou' else 'a'} {name}"
 
 
-_PAIRS = frozenset(["scissors", "pliers", "shears", "tweezers", "tongs", "chopsticks", "glasses", "headphones", "binoculars"])
+_PAIRS = frozenset(
+    ["scissors", "pliers", "shears", "tweezers", "tongs", "chopsticks", "glasses", "headphones", "binoculars"]
+)
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -111,7 +111,7 @@ class Mention(Generic[T]):
 
 @dataclass(frozen=True)
 class Knowledge:
-    """The tables, and indices from stemmed phrases to what they name."""
+    """The tables, and indices from stemmed phrases to what they name; `base_form` is a verb without its ending."""
 
     objects: Mapping[str, Thing]
     object_index: Mapping[tuple[str, ...], str]
@@ -125,6 +125,7 @@ class Knowledge:
     untouchable: frozenset[tuple[str, ...]]
     written: frozenset[str]
     first_part_names: frozenset[str]
+    base_form: Mapping[tuple[str, ...], str]
 
     def object_named(self, name: str) -> Thing | None:
         """The object of this name or with this other name."""
@@ -133,10 +134,13 @@ class Knowledge:
 
     def find_objects(self, words: Sequence[str]) -> list[Mention[Thing]]:
         """Objects named in `words`, in order, under the names they have there."""
-        return [
-            Mention(replace(self.objects[m.value], name=" ".join(words[m.start : m.end])), m.start, m.end)
-            for m in find(words, self.object_index)
-        ]
+        found: list[Mention[Thing]] = []
+        for mention in find(words, self.object_index):
+            thing, written = self.objects[mention.value], tuple(words[mention.start : mention.end])
+            alike = (name for name in (thing.name, *thing.also) if stem(name) == stem(written))
+            name = " ".join(written) if written in self.object_index else next(alike, thing.name)
+            found.append(Mention(replace(thing, name=name), mention.start, mention.end))
+        return found
 
     def find_parts(self, words: Sequence[str]) -> list[Mention[str]]:
         """Parts named in `words`, as they are called there without endings."""
@@ -194,6 +198,7 @@ def knowledge() -> Knowledge:
         wishes=tuple(Wish(**row) for row in table["wishes"]),
         usual_part={stem(verb): part for part, verbs in unknown.items() for verb in verbs},
         untouchable=untouchable,
+        base_form={stem(verb): verb for action, verbs in table["actions"].items() for verb in (action, *verbs)},
         first_part_names=frozenset(part.name for thing in objects.values() for part in thing.parts),
         written=frozenset(word for phrase in spoken for word in words(phrase)),
     )

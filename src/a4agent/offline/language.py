@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
-from a4agent.offline.knowledge import QUALIFIERS, Knowledge, Mention, Thing, find, knowledge, stem
+from a4agent.offline.knowledge import COLOURS, QUALIFIERS, Knowledge, Mention, Thing, find, knowledge, stem
 from a4agent.offline.spelling import corrected
 from a4agent.offline.translation import in_english
 
@@ -41,8 +41,34 @@ _MODALS = _set("could would should must might will i you we they")
 _PREPOSITIONS: dict[str, Role] = {
     **dict.fromkeys(("with", "using", "use", "uses", "via"), "tool"),
     **dict.fromkeys(
-        "on to toward towards from off out near next beside behind below beneath under underneath "
-        "above over between against around across along within outside through below".split(),
+        [
+            "on",
+            "to",
+            "toward",
+            "towards",
+            "from",
+            "off",
+            "out",
+            "near",
+            "next",
+            "beside",
+            "behind",
+            "below",
+            "beneath",
+            "under",
+            "underneath",
+            "above",
+            "over",
+            "between",
+            "against",
+            "around",
+            "across",
+            "along",
+            "within",
+            "outside",
+            "through",
+            "below",
+        ],
         "place",
     ),
     **dict.fromkeys(("in", "into", "inside", "onto"), "goal"),
@@ -50,18 +76,16 @@ _PREPOSITIONS: dict[str, Role] = {
     "at": "aim",
     "of": "owner",
 }
-_STOP_WORDS = (
-    (DEFINITE | _DETERMINERS | _PRONOUNS | _BEFORE_VERBS | frozenset(_PREPOSITIONS))
-    - _set("thing things stuff")
-    | _set(
-        """
-about after again ahead am apart are as aside away back be because been before being but can come comes coming down
+_STOP_WORDS = (DEFINITE | _DETERMINERS | _PRONOUNS | _BEFORE_VERBS | frozenset(_PREPOSITIONS)) - _set(
+    "thing things stuff one ones"
+) | _set(
+    """
+about after again ahead am apart are as aside away back be because been before being but come comes coming down
 each for go goes going gone had has have having here him how if just like liked likes made make makes me meanwhile meant
 need needed needs now once other ought out please same shall she since so soon suitable supposed than there therefore
 together too until up upon us very want wanted wants well when where wherever whether while whose why will without yes
 yet your really around able ready
 """
-    )
 )
 
 _SHORT_FORMS = (
@@ -99,7 +123,8 @@ _POLITE = re.compile(
             r"for (?:me|us)(?! to)",
             r"(?:could|may|might|can) (?:i|we) (?:trouble|ask|bother) you (?:to|for)",
             rf"{_I} (?:was|were|am|are) (?:just )?wondering (?:if|whether) (?:you|we) (?:could|would|might)",
-            rf"{_I} (?:would|should|will)(?: really| very much)? (?:appreciate|love|like|prefer|want|be (?:grateful|glad|happy|pleased)){_ASKED}",
+            rf"{_I} (?:would|should|will)(?: really| very much)? (?:appreciate|love|like|prefer|want){_ASKED}",
+            rf"{_I} (?:would|will) be (?:grateful|glad|happy|pleased){_ASKED}",
             rf"{_I} (?:really )?(?:want|need|wish|ask|expect){_ASKED.replace('| to', '')}",
             r"would you (?:mind|be able to|be willing to|be (?:so )?kind enough to|like to)",
             r"(?:would|is) it (?:be )?possible (?:for you )?to",
@@ -120,7 +145,11 @@ _POLITE = re.compile(
         )
     )
 )
-_GIVEN = re.compile(rf"\b(?:could|may|might|can) {_I} have\b|\b{_I} (?:would|will) (?:like|have)(?= (?:the|that|this|my)\b)")
+_TWO_COLOURS = re.compile(rf"\b({'|'.join(COLOURS)}) and (?:{'|'.join(COLOURS)})\b")
+_GIVEN = re.compile(
+    rf"\b(?:could|may|might|can) {_I} have\b"
+    rf"|\b{_I} (?:want|need|would like|will have|will take)(?= (?:the|that|this|my) (?!part\b))"
+)
 
 _RULED_OUT = re.compile(
     r"\b(without|instead of|rather than|but not|and not|not|never|do not|avoid(?:ing)?|except(?: for)?|excluding"
@@ -132,14 +161,16 @@ _PURPOSE = re.compile(
     r"\b(?:so that|so as to|in order to|in order that|so(?= (?:i|you|we|they|he|she|it|the|my)\b)|because|since"
     r"|for(?= [a-z]+ing\b)|to(?= [a-z]))\b[^,;:.!?]*"
 )
-_NOT_A_PURPOSE = re.compile(r"to (?:the|a|an|my|me|this|that|it|its|be|him|her|us|them|your|our|someone|where|left|right)\b")
+_NOT_A_PURPOSE = re.compile(
+    r"to (?:the|a|an|my|me|this|that|it|its|be|him|her|us|them|your|our|someone|where|left|right)\b"
+)
 _HOLD = re.compile(
     r"\b(?:where|which|what|how)\b[^?.!]*\b(?:hold|held|holding|grip|grasp|grasped|grab|touch|pick|take|carry|lift|hand|hands"
     r"|finger|fingers|palm)\b"
     r"|\b(?:hand|hands|fingers?|palm|grip|grasp|hold)\b[^?.!]*\b(?:go|goes|belongs?|rests?|wraps?|be placed|be put)\b"
 )
 _WHERE_TO_PUT = re.compile(
-    r"\bwhere (?:do|does|should|could|would|will|is|are|to)(?: \w+){0,2} (?:pour|put|fill|store|keep|insert|stow|load|pour in)\b"
+    r"\bwhere (?:do|does|should|could|would|will|is|are|to)(?: \w+){0,2} (?:pour|put|fill|store|keep|insert|stow)\b"
     r"(?! (?:my|the|your) (?:hand|hands|finger|fingers|palm|foot|feet)\b)"
 )
 _SAFELY = re.compile(r"\b(?:burn|hurt|cut|injur|scald|prick|harm)\w*\b")
@@ -172,14 +203,23 @@ class Noun:
     @property
     def generic(self) -> bool:
         """Whether this is "the part" of something, whichever that may be."""
-        return self.definite and self.part is None and self.thing is None and self.text.rsplit(" ", maxsplit=1)[-1] in GENERIC_PARTS
+        return (
+            self.definite
+            and self.part is None
+            and self.thing is None
+            and self.text.rsplit(" ", maxsplit=1)[-1] in GENERIC_PARTS
+        )
 
 
 @dataclass(frozen=True)
 class Verb:
-    """A verb as written and the actions it may mean, likeliest first; `purpose` if it is what something is done for."""
+    """A verb as written, without its ending, and the actions it may mean, likeliest first.
+
+    `purpose` tells that something else is done for it.
+    """
 
     text: str
+    base: str
     actions: tuple[str, ...]
     start: int
     end: int
@@ -207,7 +247,7 @@ def read(instruction: str) -> Reading | None:
         return None
     text = _GIVEN.sub("give me", _MODAL.sub("could", english))
     text = corrected(text)
-    text = _MODAL.sub("could", text)
+    text = _TWO_COLOURS.sub(r"\1", _MODAL.sub("could", text))
     text = _tidy(_POLITE.sub(" ", text))
     wanted, ruled_out = _set_apart(text)
     main, purpose = _main_and_purpose(wanted)
@@ -221,7 +261,7 @@ def read(instruction: str) -> Reading | None:
     ]
     to_put = bool(_WHERE_TO_PUT.search(main)) and not _HOLD.search(main)
     if to_put:
-        verbs = [replace(verb, text="fill", actions=("contain",)) for verb in verbs]
+        verbs = [replace(verb, base="fill", actions=("contain",)) for verb in verbs]
     nouns = _nouns(words, verbs, know)
     if to_put:
         nouns = [noun for noun in nouns if noun.role != "object" or noun.pronoun]
@@ -234,7 +274,7 @@ def read(instruction: str) -> Reading | None:
         things = [noun for noun in unwanted if noun.thing]
         verbs, nouns = out_verbs, things[:1]
         unwanted = [noun for noun in unwanted if noun not in nouns]
-        words = out
+        words, out_verbs = out, []
     holding = bool(_HOLD.search(main)) or ("without" in ruled_out and bool(_SAFELY.search(ruled_out)))
     actions = tuple(action for verb in out_verbs for action in verb.actions[:1])
     return Reading(
@@ -282,7 +322,10 @@ def _adjectives(ruled_out: Sequence[str]) -> tuple[str, ...]:
     return tuple(action for word in ruled_out for action in SENSES.get(word, ()))
 
 
-SENSES = {"sharp": ("cut",), "pointed": ("spear",), "pointy": ("spear",), "spiky": ("spear",), "hollow": ("contain",)}
+SENSES = {
+    "sharp": ("cut",), "hot": ("cook",), "pointed": ("spear",), "pointy": ("spear",), "spiky": ("spear",),
+    "hollow": ("contain",),
+}  # fmt: skip
 """What a part of such a look is there for."""
 
 
@@ -294,7 +337,10 @@ def _main_and_purpose(text: str) -> tuple[str, str]:
         if _NOT_A_PURPOSE.match(match[0]):
             return match[0]
         before = text[: match.start()].strip()
-        if re.search(r"\b(?:need|want|have|like|love|wish|going|about|able|has|used|ought|time|supposed|wants|trying|plan|got|needs)$", before):
+        if re.search(
+            r"\b(?:need|want|have|like|love|wish|going|about|able|has|used|ought|time|supposed|wants|trying|plan|got|needs)$",
+            before,
+        ):
             return match[0].removeprefix("to ") if match[0].startswith("to ") else match[0]
         purposes.append(match[0])
         return " "
@@ -337,13 +383,19 @@ def joined_verbs(text: str, verbs: Mapping[tuple[str, ...], object]) -> str:
 def _verbs(words: Sequence[str], know: Knowledge) -> list[Verb]:
     """The verbs in order; the word before tells them from nouns of the same spelling."""
     found: list[Verb] = []
-    named = {index for mention in know.find_objects(words) if mention.end - mention.start > 1 for index in range(mention.start, mention.end)}
+    named = {
+        index
+        for mention in know.find_objects(words)
+        if mention.end - mention.start > 1
+        for index in range(mention.start, mention.end)
+    }
     index = 0
     while index < len(words):
         mention = None if index in named else _longest(words, index, know.action_index)
         if mention and _is_verb(words, mention, know):
-            text = " ".join(words[mention.start : mention.end])
-            found.append(Verb(text, mention.value, mention.start, mention.end))
+            written = words[mention.start : mention.end]
+            text = " ".join(written)
+            found.append(Verb(text, know.base_form[stem(written)], mention.value, mention.start, mention.end))
             index = mention.end
         else:
             index += 1
@@ -369,6 +421,8 @@ def _is_verb(words: Sequence[str], mention: Mention[tuple[str, ...]], know: Know
     )
     if written[0].endswith("ed") and written not in know.object_index:
         return before not in _DETERMINERS
+    if written == ("not",):  # not a note
+        return False
     if before in _MODALS and mention.start:
         return True
     if before in _PREPOSITIONS or before in {"for", "without", "before", "after"}:
@@ -416,8 +470,14 @@ def _nouns(words: list[str], verbs: Sequence[Verb], know: Knowledge) -> list[Nou
 def _add(found: list[Noun], noun: Noun, role: Role) -> None:
     """Append a noun, or make it the owner of the part before."""
     last = found[-1] if found else None
+    if last and last.part is None and _says_which_one(noun, role):  # "the drawer on the left", "with the blue stripes"
+        found[-1] = replace(last, qualifiers=_merged(last.qualifiers, noun.qualifiers or _qualifiers([noun.text])))
+        return
     if last and role in ("owner", "place", "goal") and noun.start - last.end <= 3 and last.owner is None:
         of = role == "owner"
+        if last.pronoun and last.qualifiers and of and noun.thing:  # "the smaller one of the two mugs"
+            found[-1] = replace(noun, qualifiers=_merged(last.qualifiers, noun.qualifiers), role=last.role)
+            return
         if last.text.split()[-1] in GENERIC_PARTS and of:
             found[-1] = replace(last, owner=noun, end=noun.end)
             return
@@ -433,6 +493,19 @@ def _add(found: list[Noun], noun: Noun, role: Role) -> None:
     found.append(noun)
 
 
+def _says_which_one(noun: Noun, role: Role) -> bool:
+    """Whether a noun after a preposition only tells which thing is meant."""
+    if role == "tool":
+        return bool(noun.qualifiers) and noun.thing is None and noun.part is None and not noun.pronoun
+    if role == "owner" or noun.thing or noun.owner:
+        return False
+    return (noun.pronoun and bool(noun.qualifiers)) or (noun.text in QUALIFIERS and role != "object")
+
+
+def _merged(first: Sequence[str], more: Sequence[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys([*first, *more]))
+
+
 def _phrase(words: list[str], start: int, in_verb: set[int], know: Knowledge) -> Noun | None:
     """The noun phrase that starts at a word."""
     index = start
@@ -443,15 +516,17 @@ def _phrase(words: list[str], start: int, in_verb: set[int], know: Knowledge) ->
     while end < len(words) and end not in in_verb and words[end] not in _STOP_WORDS and words[end] not in MARKS:
         end += 1
     run = list(words[index:end])
+    if words[start:index] == [] and run == [] and words[start] in {"something", "anything"}:
+        return None
+    if run == ["one"] and (end in in_verb or not definite):  # "where does one sit"
+        return None
     if not run:
         single = words[start : start + 1]
-        if single == ["one"] and start + 1 in in_verb:  # "where does one sit"
-            return None
-        if index > start and single[0] in _PRONOUNS or single[0] in _PRONOUNS and index == start:
+        if (index > start and single[0] in _PRONOUNS) or (single[0] in _PRONOUNS and index == start):
             return Noun("object", start, max(index, start + 1), definite=True, pronoun=True)
         return None
     for place, word in enumerate(run):
-        if word.endswith("'s") or word.endswith("s'"):
+        if word.endswith(("'s", "s'")):
             owner = _named(run[: place + 1], index, True, know, possessive=True)
             rest = _named(run[place + 1 :], index + place + 1, True, know)
             if rest is None:
@@ -495,13 +570,19 @@ def _named(
         part = parts[-1]
         between = [word for word in words[: part.start] if word not in QUALIFIERS]
         text = " ".join([*between, *words[part.start : part.end]])
-        return Noun(text, at, at + part.end, part=part.value, qualifiers=_qualifiers(words[: part.start]), definite=article)
+        return Noun(
+            text, at, at + part.end, part=part.value, qualifiers=_qualifiers(words[: part.start]), definite=article
+        )
     kept = [word for word in words if word not in QUALIFIERS and not (word.endswith("ly") and len(word) > 4)]
     if not kept or kept[-1] in _OF_PEOPLE:
-        return None if kept else Noun("object", at, at + len(words), pronoun=True, qualifiers=_qualifiers(words), definite=article)
+        return (
+            None
+            if kept
+            else Noun("object", at, at + len(words), pronoun=True, qualifiers=_qualifiers(words), definite=article)
+        )
     if kept[-1] in {"tool", "instrument", "utensil"} and not article:
         return None
-    if kept[-1] in {"thing", "things", "stuff", "object", "item", "tool", "gadget", "device"}:
+    if kept[-1] in {"one", "ones", "thing", "things", "stuff", "object", "item", "tool", "gadget", "device"}:
         return Noun("object", at, at + len(words), pronoun=True, qualifiers=_qualifiers(words), definite=article)
     if kept[-1] in GENERIC_PARTS and not article:
         return Noun(" ".join(kept[:4]), at, at + len(words), qualifiers=_qualifiers(words))

@@ -24,14 +24,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+from a4agent.offline.decisions import decide
 from a4agent.offline.knowledge import QUALIFIERS, Thing, knowledge, stem, words
 from a4agent.offline.profile import Layout
-from a4agent.offline.understanding import understand
 
 DEFAULT = Layout()
 
 PARTS = ("grip", "work", "body", "inside", "control", "lid", "spout", "whole")
 """The part maps of the network, and "whole"."""
+
 
 @dataclass(frozen=True)
 class Wanted:
@@ -118,7 +119,7 @@ def wanted(phrase: str) -> Wanted:
     if stem(plain) in _STEMMED:
         shape = _STEMMED[stem(plain)]
         return Wanted(shape, part=_PART_MAPS[shape])
-    decision = understand(phrase)
+    decision = decide(phrase)
     if decision.part_name and decision.object_name:
         return _part(decision.part_name, know.object_named(decision.object_name))
     named = next((_STEMMED[stem(word)] for word in reversed(said) if stem(word) in _STEMMED), None)

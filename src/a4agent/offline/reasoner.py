@@ -1,49 +1,77 @@
 """`offline:reasoner`: answers the Dreamer's and the Thinker's prompts from a knowledge base, as a language model would.
 
     reasoner.chat([ChatRequest(images=(photo,), text='... The task instruction is "drink from the mug". ...')])
-    -> '### Thinking\\nTo drink, the handle of the mug is used.\\n### Output\\n{"task": ..., "object_part": ...}'
+    -> '### Thinking\nThe mug is held by its handle.\n### Output\n{"task": ..., "object_part": ...}'
 
-It reads the task from the paper's templates and from nothing else, and does not look at the images.
-What it does not know gets an answer with an empty `object_part`, which no Thinker accepts.
+It reads the task from the paper's templates and from nothing else; the network tells it what is in the picture.
 """
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
-from a4agent.errors import A4Error, UnreadableAnswer
+from a4agent.errors import A4Error, RefusedAnswer, UnreadableAnswer
+from a4agent.offline.decisions import Decision, decide
 from a4agent.offline.revision import revision
-from a4agent.offline.understanding import Decision, understand
 from a4agent.protocols import ChatAnswer, ChatRequest, ExpertBase
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 _THINKER_TASK = re.compile(r'The task instruction is "(.*?)"\s*\.\s*(?:\n|$|The first image|Think|\*\*)', re.DOTALL)
 _THINKER_TASK_LOOSE = re.compile(r'The task instruction is "(.*)"', re.DOTALL)
 _DREAMER_TASK = re.compile(r"The given TASK is:\s*(.*)\Z", re.DOTALL)
 
+_NO_KINDS = frozenset(["none", "other"])
+RECOGNISED = 0.6
+"""From this probability on, a thing in the picture counts as recognised."""
+RULED_OUT = 0.05
+"""A kind is missing if no thing in the picture has it with this probability."""
+
 
 class OfflineReasoner(ExpertBase):
-    """A VisionLanguageModel made of rules; needs no key, no download and no time."""
+    """A VisionLanguageModel made of rules; needs no key and no download."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, threads: int = 0) -> None:
         super().__init__("offline:reasoner", revision=revision())
+        self.threads = threads
 
     def chat(self, requests: Sequence[ChatRequest]) -> list[ChatAnswer | A4Error]:
-        return [_answer(request.text) for request in requests]
+        return [self._answer(request) for request in requests]
+
+    def _answer(self, request: ChatRequest) -> ChatAnswer | A4Error:
+        task = dreamer_task(request.text)
+        if task is not None:
+            return ChatAnswer(text=edit_prompt(decide(task)))
+        task = thinker_task(request.text)
+        if task is None:
+            return UnreadableAnswer(
+                "'offline:reasoner' only answers the Dreamer's and the Thinker's prompts of the set 'paper', "
+                f"not {request.text[:60]!r}; name another model: thinker.vlm = 'openai:gpt-4o'"
+            )
+        seen, missing = things_in(request.images[0], self.threads) if request.images else ((), frozenset[str]())
+        decision = decide(task, seen, missing)
+        return ChatAnswer(text=thinker_answer(task, decision)) if decision.phrase else RefusedAnswer(decision.because)
 
 
-def _answer(text: str) -> ChatAnswer | A4Error:
-    task = dreamer_task(text)
-    if task is not None:
-        return ChatAnswer(text=edit_prompt(understand(task)))
-    task = thinker_task(text)
-    if task is not None:
-        return ChatAnswer(text=thinker_answer(task, understand(task)))
-    return UnreadableAnswer(
-        "'offline:reasoner' only answers the Dreamer's and the Thinker's prompts of the set 'paper', "
-        f"not {text[:60]!r}; name another model: thinker.vlm = 'openai:gpt-4o'"
-    )
+def things_in(image: Image, threads: int = 0) -> tuple[tuple[str, ...], frozenset[str]]:
+    """The kinds of thing recognised in a picture, the likeliest first, and the kinds that it does not show.
+
+    Both are empty where the network is not installed.
+    """
+    try:
+        eye = importlib.import_module("a4agent.offline.eye")
+        things: Sequence[Mapping[str, float]] = [thing.kinds for thing in eye.look(image, threads)]
+    except (ModuleNotFoundError, A4Error):
+        return (), frozenset()
+    likeliest = [max(kinds.items(), key=lambda item: item[1]) for kinds in things]
+    seen = tuple(dict.fromkeys(kind for kind, p in likeliest if p >= RECOGNISED and kind not in _NO_KINDS))
+    known = {kind for kinds in things for kind in kinds} - _NO_KINDS
+    return seen, frozenset(kind for kind in known if all(kinds.get(kind, 0.0) < RULED_OUT for kinds in things))
 
 
 def thinker_task(text: str) -> str | None:
@@ -66,13 +94,13 @@ def thinker_answer(task: str, decision: Decision) -> str:
 
 def edit_prompt(decision: Decision) -> str:
     """One edit prompt in the form that the Dreamer's template asks for."""
-    if not decision.part_name:
+    if not decision.phrase:
         return (
             "Edit the input image to show a person's hand reaching for the main object, "
             "photorealistic, seamless inpainting, keep others unchanged"
         )
     return (
         f"Edit the input image to show a person's hand at {decision.phrase}, ready to {decision.action}: "
-        f"the contact is on the {decision.part_name}, and the {decision.object_name} keeps its shape, "
-        "texture and place, photorealistic, seamless inpainting, keep others unchanged"
+        f"the hand touches only that part, and the {decision.object_name} keeps its shape, texture and place, "
+        "photorealistic, seamless inpainting, keep others unchanged"
     )

@@ -1,8 +1,8 @@
 """Instructions in German, French, Spanish, Italian and Dutch, word by word into English: `languages.toml`.
 
-    in_english("nimm die rote tasse")   -> "take the red cup"
-    in_english("open the door")         -> "open the door"
-    in_english("otwórz drzwi")          -> None: not in the tables
+in_english("nimm die rote tasse")   -> "take the red cup"
+in_english("open the door")         -> "open the door"
+in_english("otwórz drzwi")          -> None: not in the tables
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from functools import lru_cache
 
 from a4agent.files import read_package_toml
 from a4agent.offline.knowledge import knowledge, stem
-from a4agent.offline.spelling import COMMON
+from a4agent.offline.spelling import common_words
 
 _ENOUGH = 0.75
 """The share of a foreign sentence's words that must be in its table."""
@@ -35,7 +35,8 @@ def _languages() -> tuple[_Language, ...]:
             tuple((pattern, english) for pattern, english in row["frames"]),
             {tuple(word.split()): english for word, english in row["words"].items()},
         )
-        for row in table.values()
+        for name, row in table.items()
+        if name != "english"
     )
 
 
@@ -63,11 +64,13 @@ def in_english(text: str) -> str | None:
 def _without_accents(text: str) -> str:
     """ "öffne" -> "offne", "d'eau" -> "de eau"."""
     decomposed = unicodedata.normalize("NFKD", text.replace("ß", "ss"))
-    return re.sub(r"\b([dlsjn]|qu)'(?=[a-z]{2})", r"\1e ", "".join(c for c in decomposed if not unicodedata.combining(c)))
+    return re.sub(
+        r"\b([dlsjn]|qu)'(?=[a-z]{2})", r"\1e ", "".join(c for c in decomposed if not unicodedata.combining(c))
+    )
 
 
 def _is_english(word: str) -> bool:
-    return word in COMMON or word in knowledge().written or stem(word) in knowledge().action_index
+    return word in common_words() or word in knowledge().written or stem(word) in knowledge().action_index
 
 
 def _known(said: Sequence[str], language: _Language) -> int:
