@@ -18,7 +18,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from a4agent.offline.knowledge import QUALIFIERS, Knowledge, Part, Thing, knowledge, stem
-from a4agent.offline.language import SENSES, Noun, Reading, Verb, read
+from a4agent.offline.language import SENSES, Noun, Verb, read
+from a4agent.offline.situation import BY_HAND, INSTEAD, Situation
 
 EXAMPLES = "Try 'open the drawer' or 'pick up the mug'."
 
@@ -51,19 +52,8 @@ class Decision:
 _FACTS = re.compile(
     r"(?:who|whose|whom|why|when (?:did|do|does|is|was|were|will)|what (?:time|day|year|is the (?!handle|part)))\b"
 )
-_BY_HAND = frozenset(
-    ["activate", "adjust", "close", "fasten", "grasp", "open", "press", "pull", "push", "turn", "hang"]
-)
 _UNDERGONE = frozenset(["climb", "drink", "kick", "lie", "play", "ride", "sit", "throw", "wear", "contain"])
 """Actions that a named thing undergoes itself: nobody reaches for a ball to kick a door."""
-_INSTEAD = {
-    "hang": ("grasp",), "throw": ("grasp",), "kick": ("push", "grasp"), "extract": ("pull", "grasp"),
-    "fasten": ("turn", "open"), "turn": ("adjust", "activate"), "lean": ("sit",), "press": ("activate", "squeeze"),
-    "wrap-grasp": ("grasp",), "pry": ("open",), "scoop": ("contain",), "contain": ("scoop", "open"),
-    "support": ("contain", "flip"), "activate": ("press", "open"), "squeeze": ("grasp",), "pull": ("open", "grasp"),
-    "push": ("press", "close", "grasp"), "unlock": ("open",), "wash": ("grasp",), "cook": ("contain",),
-}  # fmt: skip
-"""What comes close to an action that no part of a thing is there for."""
 
 
 @lru_cache(maxsize=512)
@@ -100,13 +90,8 @@ def _without_qualifiers(name: str) -> str:
     return " ".join(word for word in name.split() if word not in QUALIFIERS) or name
 
 
-@dataclass(frozen=True)
-class _Decider:
-    """The rules, over one sentence and the things in the picture."""
-
-    reading: Reading
-    seen: tuple[Thing, ...]
-    know: Knowledge
+class _Decider(Situation):
+    """The rules."""
 
     def decide(self) -> Decision | None:
         rules = (
@@ -148,12 +133,6 @@ class _Decider:
             return Decision(name, noun.name, why, self._action or "use")
         return None
 
-    def _has_tool(self) -> bool:
-        """Whether a tool is named that does what the sentence asks: "pry the lid off with a screwdriver"."""
-        tools = [noun.thing for noun in self.reading.nouns if noun.role == "tool" and noun.thing]
-        done = [action for verb in self.reading.verbs for action in verb.actions if action != "grasp"]
-        return any(tool.part_for(action) for tool in tools for action in done)
-
     def _handle_instead(self, noun: Noun, owner: Noun) -> Part | None:
         """What moves a named part that a hand does not take itself: "open the door of the fridge"."""
         part = owner.thing.part_named(noun.part or "") if owner.thing else None
@@ -161,11 +140,6 @@ class _Decider:
         if part is None or opens is None or owner.thing is None or opens in part.affords:
             return None
         return owner.thing.part_for(opens)
-
-    def _is_remark(self, noun: Noun) -> bool:
-        """Whether the sentence only tells how a part is: "the body is hot"."""
-        after = self.reading.words[noun.end : noun.end + 1]
-        return bool(after) and after[0] in {"is", "are", "was", "were", "feels", "looks", "seems"}
 
     def _part_is_meant(self, noun: Noun, before: Sequence[Noun]) -> bool:
         """Whether a part without an owner is what to act on: "by its handle", "open the lid", "the blade"."""
@@ -184,16 +158,6 @@ class _Decider:
             stands_alone
             or self._is_handled(noun.part or "")
             or any(t.part_named(noun.part or "") for t in self._things)
-        )
-
-    def _is_handled(self, name: str) -> bool:
-        """Whether a part of this name is there for a hand to do what the first verb says: "press the stop button"."""
-        done = set(self.reading.verbs[0].actions) & _BY_HAND if self.reading.verbs else set[str]()
-        return any(
-            done & set(part.affords)
-            for thing in self.know.objects.values()
-            for part in thing.parts
-            if stem(name) in {stem(known) for known in (part.name, *part.also)}
         )
 
     def _owner_of(self, part: Noun, before: Sequence[Noun], after: Sequence[Noun]) -> Noun | None:
@@ -235,7 +199,7 @@ class _Decider:
                 return self._of_anything(sense[0], sense[0])
             return None
         thing = owner.thing
-        if self._holds and (part := self._part(thing, "grasp")):
+        if self.reading.holding and (part := self._part(thing, "grasp")):
             return _held(owner, part)
         if sense and (part := self._part(thing, sense[0])):
             return _decision(owner, part, sense[0], f"That is the {part.name} of the {owner.name}.")
@@ -244,7 +208,7 @@ class _Decider:
                 return _decision(
                     owner, part, action, f"To {self._spoken(action)}, use the {part.name} of the {owner.name}."
                 )
-        for action in (other for one in wanted for other in _INSTEAD.get(one, ())):
+        for action in (other for one in wanted for other in INSTEAD.get(one, ())):
             if part := self._part(thing, action):
                 return _decision(owner, part, action, f"For that, use the {part.name} of the {owner.name}.")
         part = next((part for part in thing.parts if part.affords and "grasp" not in part.affords), thing.parts[0])
@@ -252,13 +216,8 @@ class _Decider:
 
     # ---- "where do I hold it?"
 
-    @property
-    def _holds(self) -> bool:
-        """Whether the question is where to hold: no other verb asks for another part."""
-        return self.reading.holding
-
     def _held(self) -> Decision | None:
-        if not self._holds:
+        if not self.reading.holding:
             return None
         noun = next((n for n in self._candidates if n.thing), None)
         if noun and noun.thing and (part := self._part(noun.thing, "grasp")):
@@ -271,17 +230,6 @@ class _Decider:
         return self._of_anything("grasp", "hold it")
 
     # ---- a thing that is named
-
-    @property
-    def _things(self) -> list[Thing]:
-        return [noun.thing for noun in self.reading.nouns if noun.thing]
-
-    @property
-    def _candidates(self) -> list[Noun]:
-        """Known things, tools first, then what is acted on, then places."""
-        order = {"tool": 0, "object": 1, "aim": 1, "owner": 2, "place": 2, "goal": 3}
-        flat = [noun.owner if noun.owner and noun.generic else noun for noun in self.reading.nouns]
-        return sorted((n for n in flat if n.thing), key=lambda n: (order[n.role], self._is_remark(n)))
 
     def _known_thing(self) -> Decision | None:
         candidates = self._candidates
@@ -298,7 +246,7 @@ class _Decider:
         for verb in verbs:
             if self._leads_on(verb):
                 continue
-            if unknown_tool and not set(verb.actions) & _BY_HAND:
+            if unknown_tool and not set(verb.actions) & BY_HAND:
                 return None
             first = candidates[0].thing
             if tool and tool[1] in verb.actions and tool[1] not in _UNDERGONE and first and not _affords(first, verb):
@@ -324,42 +272,6 @@ class _Decider:
             part = self._part(noun.thing, "grasp") or noun.thing.parts[0]
             return _decision(noun, part, "grasp", f"Only the {noun.name} is named: hold the {part.name}.")
         return None
-
-    def _asked_after(self, candidates: Sequence[Noun]) -> Verb | None:
-        """What a second sentence asks to pull, after the first told where things are."""
-        verb = next((v for v in self.reading.verbs if {"pull", "open"} & set(v.actions)), None)
-        return verb if verb and "." in self.reading.words[candidates[-1].end : verb.start] else None
-
-    @property
-    def _states(self) -> bool:
-        """Whether the sentence tells rather than asks: "the mug is empty"."""
-        return bool({"is", "are", "was", "were", "has"} & set(self.reading.words))
-
-    def _leads_on(self, verb: Verb) -> bool:
-        """Whether "take", "get" or "put" is only the way to what follows: "get the knife and cut bread"."""
-        later = [v for v in self.reading.verbs if v.start >= verb.end and not v.purpose]
-        return verb.actions[:1] == ("grasp",) and bool(later) and "and" in self.reading.words[verb.end : later[0].start]
-
-    def _instead(self, verb: Verb) -> tuple[str, ...]:
-        bare = self.know.action_index.get(stem(verb.text.split()[:1]), ()) if " " in verb.text else ()
-        near = [action for one in verb.actions[:2] for action in _INSTEAD.get(one, ())]
-        return (*(action for action in bare if action in _BY_HAND), *near)
-
-    def _part(self, thing: Thing, action: str) -> Part | None:
-        """The part that affords an action and is not ruled out; for a hand, any part that does not cut."""
-        ruled_out = {stem(noun.part) for noun in self.reading.unwanted if noun.part}
-        ruled_out_actions = (
-            set(self.reading.unwanted_actions) - _BY_HAND if self.reading.unwanted_actions else set[str]()
-        )
-        banned = {part.name for part in thing.parts if ruled_out & {stem(name) for name in (part.name, *part.also)}}
-        banned |= {
-            part.name for part in thing.parts if ruled_out_actions & set(part.affords) and "grasp" not in part.affords
-        }
-        part = next((p for p in thing.parts if action in p.affords and p.name not in banned), None)
-        if part or action != "grasp" or not thing.part_for("grasp"):
-            return part
-        left = [p for p in thing.parts if p.name not in banned and not {"cut", "spear"} & set(p.affords)]
-        return next((p for p in left if p.name in ("body", "rim", "base", "shaft")), left[0] if left else None)
 
     # ---- "drink from this"
 
@@ -393,20 +305,10 @@ class _Decider:
                 return found
         return None
 
-    @property
-    def _own_nouns(self) -> list[Noun]:
-        """Nouns that are acted on, without what is only a place or a helper."""
-        flat = [replace(n.owner, role="object") if n.generic and n.owner else n for n in self.reading.nouns]
-        return [n for n in flat if n.role in ("object", "tool", "aim") and n.definite]
-
-    @property
-    def _asks(self) -> bool:
-        return bool({"where", "what", "which", "how"} & set(self.reading.words))
-
     def _of_anything(self, action: str, spoken: str, actions: Sequence[str] = ()) -> Decision | None:
         """The part of something in the picture that affords an action, or what most things have for it."""
         for thing in self.seen:
-            for one in (*(actions or (action,)), *_INSTEAD.get(action, ())):
+            for one in (*(actions or (action,)), *INSTEAD.get(action, ())):
                 if part := self._part(thing, one):
                     return _decision(
                         _noun(thing), part, one, f"I see {_a(thing.name)}: to {self._spoken(one)}, use the {part.name}."
@@ -437,56 +339,8 @@ class _Decider:
         why = self._tool_for(action, thing, part)
         return _decision(_noun(thing), part, action, why)
 
-    def _reached_for(self) -> tuple[Thing, str] | None:
-        """The tool for what is to be done, and the action: by verb and what it is done to, then by a wish."""
-        if tool := self._named_by_verb():
-            return tool
-        themes = self.know.find_themes(self.reading.words)
-        verbs = [verb for verb in self.reading.verbs if set(verb.actions) != {"grasp"}] or list(self.reading.verbs)
-        for verb in verbs:
-            for theme in themes:
-                for action, name in theme.value:
-                    if action in verb.actions:
-                        return self.know.objects[name], action
-        return self._wished()
-
-    def _named_by_verb(self) -> tuple[Thing, str] | None:
-        """The tool that a verb is named after: "mop the floor", "ladle the soup"."""
-        for verb in self.reading.verbs:
-            word = verb.text.split()[0]
-            usual = self.know.default_index.get(word, (word,))[0]  # one scoops with a spoon
-            thing = self.know.objects.get(word) if usual == word else None
-            for action in verb.actions if thing else ():
-                if thing and action != "grasp" and thing.part_for(action):
-                    return thing, action
-        return None
-
     def _tool_for(self, action: str, thing: Thing, part: Part) -> str:
         return f"To {self._spoken(action)}, use the {part.name} of {_a(thing.name)}."
-
-    def _vessel(self) -> tuple[Thing, str] | None:
-        """What a drink is in, when a hand takes it: "hold my coffee"."""
-        if not any(set(verb.actions) & {"grasp", "drink"} for verb in self.reading.verbs[:1]):
-            return None
-        pairs = (pair for theme in self.know.find_themes(self.reading.words) for pair in theme.value)
-        return next(((self.know.objects[name], "grasp") for action, name in pairs if action == "drink"), None)
-
-    def _by_verb_alone(self) -> tuple[Thing, str] | None:
-        """What is reached for to do such a thing to anything."""
-        for verb in self.reading.verbs:
-            for action in verb.actions:
-                for name in self.know.default_index.get(action, ()):
-                    return self.know.objects[name], action
-        return None
-
-    def _wished(self) -> tuple[Thing, str] | None:
-        """What helps someone who only says what is wrong: "the soup is cold". A verb still chooses the part."""
-        for wish in self.know.wishes:
-            if re.search(wish.says, self.reading.text):
-                thing = self.know.objects[wish.object]
-                asked = (a for verb in self.reading.verbs for a in verb.actions if a != wish.action and a in _BY_HAND)
-                return thing, next((action for action in asked if thing.part_for(action)), wish.action)
-        return None
 
     # ---- a thing that nobody knows
 
@@ -497,7 +351,7 @@ class _Decider:
         for verb in verbs:
             usual = self.know.usual_part.get(stem(verb.text)) or self.know.usual_part.get((verb.actions[0],))
             usual = usual or self._part_of_a_usual_tool(verb)
-            by_hand = bool(set(verb.actions) & _BY_HAND) or verb.actions[0] in _UNDERGONE or verb.text == "pour"
+            by_hand = bool(set(verb.actions) & BY_HAND) or verb.actions[0] in _UNDERGONE or verb.text == "pour"
             for noun in sorted(nouns, key=lambda n: (n.role != "tool", n.role == "place")):
                 noun = noun.owner if noun.generic and noun.owner else noun
                 if noun.pronoun or noun.generic or not noun.definite or self._is_idea(noun):
@@ -506,44 +360,17 @@ class _Decider:
                     continue
                 if noun.role == "place" and verb.actions[0] not in (*_UNDERGONE, "pour"):
                     continue
-                part = "handle" if self._holds else usual
+                part = "handle" if self.reading.holding else usual
                 why = f"I do not know this {noun.text}; most things have {_a(part)} to {verb.base}."
                 return Decision(noun.name, part, why, verb.text, sure=False)
         return None
 
-    def _part_of_a_usual_tool(self, verb: Verb) -> str | None:
-        """The part of the tool that is usually taken for such a job: one stirs with the bowl of a spoon."""
-        tools = (
-            (self.know.objects[name], action)
-            for action in verb.actions
-            for name in self.know.default_index.get(action, ())
-        )
-        return next((part.name for thing, action in tools if (part := thing.part_for(action))), None)
-
     def _any_part(self) -> Decision | None:
         """Any part at all that a hand is to move: "turn the steering wheel"."""
         noun = next((n for n in self.reading.nouns if n.part and n.definite and n.role == "object"), None)
-        if noun is None or not (self.reading.verbs and set(self.reading.verbs[0].actions) & _BY_HAND):
+        if noun is None or not (self.reading.verbs and set(self.reading.verbs[0].actions) & BY_HAND):
             return None
         return Decision("object", noun.name, f"The instruction itself names the {noun.name}.", self._action or "use")
-
-    def _is_idea(self, noun: Noun) -> bool:
-        words = noun.text.split()
-        return any(stem(words[-count:]) in self.know.untouchable for count in (1, 2, 3))
-
-    @property
-    def _wanted_actions(self) -> list[str]:
-        """The actions of the verbs; a relative clause's before those that only fetch ("find", "use")."""
-        asked = [verb for verb in self.reading.verbs if verb.text in ("holds", "keeps")]
-        return [*(["contain"] if asked else []), *(action for verb in self.reading.verbs for action in verb.actions)]
-
-    def _spoken(self, action: str) -> str:
-        """The speaker's own verb for an action."""
-        return next((verb.base for verb in self.reading.verbs if action in verb.actions), action)
-
-    @property
-    def _action(self) -> str | None:
-        return next(iter(self._wanted_actions), None)
 
 
 def _actions_on(noun: Noun, verb: Verb) -> tuple[str, ...]:

@@ -15,9 +15,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
-from a4agent.offline.knowledge import COLOURS, QUALIFIERS, Knowledge, Mention, Thing, find, knowledge, stem
-from a4agent.offline.spelling import corrected
-from a4agent.offline.translation import in_english
+from a4agent.offline.clauses import DEFINITE, joined_verbs, main_and_purpose, plain, set_apart
+from a4agent.offline.knowledge import QUALIFIERS, Knowledge, Mention, Thing, find, knowledge, stem
 
 T = TypeVar("T")
 
@@ -28,7 +27,6 @@ def _set(words: str) -> frozenset[str]:
     return frozenset(words.split())
 
 
-DEFINITE = _set("the this that these those my your our his her their its")
 GENERIC_PARTS = _set("part parts end side bit piece portion section area region component element spot place")
 MARKS = frozenset(",;:.!?")
 _DETERMINERS = DEFINITE | _set("a an some any all both each either every another no two three such what which")
@@ -88,82 +86,6 @@ yet your really around able ready
 """
 )
 
-_SHORT_FORMS = (
-    (r"\bcan't\b|\bcannot\b|\bcan not\b", "could not"),
-    (r"\bwon't\b", "will not"),
-    (r"n't\b", " not"),
-    (r"\b(do|does|is|are|was|were|ca|wo|would|should|could)nt\b", r"\1 not"),
-    (r"\blet's\b", "let us"),
-    (r"\b(it|that|there|what|where|who|how|here|which)'s\b", r"\1 is"),
-    (r"'re\b", " are"),
-    (r"'m\b", " am"),
-    (r"'ll\b", " will"),
-    (r"'d\b", " would"),
-    (r"'ve\b", " have"),
-    (r"\b(?:pls|plz|plse)\b", "please"),
-    (r"\bu\b", "you"),
-)
-# "can" is a tin after an article or an adjective, and "could" everywhere else.
-_MODAL = re.compile(
-    r"(?<![\w-])can(?= (?:i|you|we|they|he|she|it|one|somebody|someone|anyone|the|my|be|not|also|only|please)\b)"
-    r"|(?<=\b(?:i|u) )can\b"
-    r"|(?<=\b(?:we|he|it) )can\b"
-    r"|(?<=\b(?:you|she|one) )can\b"
-    r"|(?<=\b(?:they|part|that|what|tool|hand) )can\b(?= [a-z])"
-    r"|(?<=\b(?:which|where|thing) )can\b(?= [a-z])"
-)
-_YOU = r"(?:you|we|one|somebody|someone|anyone|anybody)"
-_I = r"(?:i|we)"
-_ASKED = r"(?: (?:it )?if you(?: could| would)?| for you to| you to| to)"
-_POLITE = re.compile(
-    "|".join(
-        rf"\b(?:{frame})(?!\w)"
-        for frame in (
-            rf"if {_YOU} (?:do not mind|could|would|please|may|like|can|have (?:time|a moment|a minute))",
-            r"for (?:me|us)(?! to)",
-            r"(?:could|may|might|can) (?:i|we) (?:trouble|ask|bother) you (?:to|for)",
-            rf"{_I} (?:was|were|am|are) (?:just )?wondering (?:if|whether) (?:you|we) (?:could|would|might)",
-            rf"{_I} (?:would|should|will)(?: really| very much)? (?:appreciate|love|like|prefer|want){_ASKED}",
-            rf"{_I} (?:would|will) be (?:grateful|glad|happy|pleased){_ASKED}",
-            rf"{_I} (?:really )?(?:want|need|wish|ask|expect){_ASKED.replace('| to', '')}",
-            r"would you (?:mind|be able to|be willing to|be (?:so )?kind enough to|like to)",
-            r"(?:would|is) it (?:be )?possible (?:for you )?to",
-            r"be so (?:kind|good) (?:as to|and)|so kind as to",
-            r"do me (?:a|the) favou?r(?: and|:|,)?",
-            r"be a (?:dear|darling|love|sweetheart|star)(?: and)?",
-            r"(?:give|lend) (?:me|us) a hand(?: and| with)?",
-            r"go ahead and|feel free to|you may(?: now)?|go and",
-            rf"(?:could|would|will|shall|must) {_YOU}",
-            r"help (?:me|us)(?: to| with)?|let (?:us|me)",
-            r"try (?:and|to)|(?:make sure|be sure|remember|do not forget)(?: to| that you)",
-            r"it is time to|(?:your|the) (?:task|job|goal) is to",
-            r"please|kindly|possibly|maybe|perhaps|thanks|thank you(?: very much| so much)?",
-            r"hey|hi|hello|ok|okay|robot|assistant|right now|just|now",
-            r"quickly|carefully|gently|slowly|safely|firmly|properly",
-            r"(?:in|of|from) (?:the|this) (?:image|picture|photo|photograph|scene)",
-            r"in the (?:center|centre|middle)(?= of the (?:image|picture|photo))",
-        )
-    )
-)
-_TWO_COLOURS = re.compile(rf"\b({'|'.join(COLOURS)}) and (?:{'|'.join(COLOURS)})\b")
-_GIVEN = re.compile(
-    rf"\b(?:could|may|might|can) {_I} have\b"
-    rf"|\b{_I} (?:want|need|would like|will have|will take)(?= (?:the|that|this|my) (?!part\b))"
-)
-
-_RULED_OUT = re.compile(
-    r"\b(without|instead of|rather than|but not|and not|not|never|do not|avoid(?:ing)?|except(?: for)?|excluding"
-    r"|other than|anything but|anywhere but|apart from|(?:keep|stay|leave)(?: \w+){0,2} (?:off|away from|clear of))\b"
-    r"[^,;:.!?]*"
-)
-_RULED_IN_AGAIN = re.compile(r"\b(?:and|then|but(?! not)|when|while|as|if|so that|to (?=\w+ ?$))\b.*$")
-_PURPOSE = re.compile(
-    r"\b(?:so that|so as to|in order to|in order that|so(?= (?:i|you|we|they|he|she|it|the|my)\b)|because|since"
-    r"|for(?= [a-z]+ing\b)|to(?= [a-z]))\b[^,;:.!?]*"
-)
-_NOT_A_PURPOSE = re.compile(
-    r"to (?:the|a|an|my|me|this|that|it|its|be|him|her|us|them|your|our|someone|where|left|right)\b"
-)
 _HOLD = re.compile(
     r"\b(?:where|which|what|how)\b[^?.!]*\b(?:hold|held|holding|grip|grasp|grasped|grab|touch|pick|take|carry|lift|hand|hands"
     r"|finger|fingers|palm)\b"
@@ -242,15 +164,11 @@ class Reading:
 def read(instruction: str) -> Reading | None:
     """Take a sentence apart; None if it is in a language that the tables do not cover."""
     know = knowledge()
-    english = in_english(_expanded(instruction))
-    if english is None:
+    text = plain(instruction)
+    if text is None:
         return None
-    text = _GIVEN.sub("give me", _MODAL.sub("could", english))
-    text = corrected(text)
-    text = _TWO_COLOURS.sub(r"\1", _MODAL.sub("could", text))
-    text = _tidy(_POLITE.sub(" ", text))
-    wanted, ruled_out = _set_apart(text)
-    main, purpose = _main_and_purpose(wanted)
+    wanted, ruled_out = set_apart(text)
+    main, purpose = main_and_purpose(wanted)
     main, purpose = (joined_verbs(part, know.action_index) for part in (main, purpose))
     words = tokens(main)
     verbs = _verbs(words, know)
@@ -287,36 +205,6 @@ def tokens(text: str) -> list[str]:
     return re.findall(r"[a-z0-9]+(?:[-'][a-z0-9]+)*|[,;:.!?]", text)
 
 
-def _expanded(instruction: str) -> str:
-    """Lower case, with contractions written out."""
-    text = " ".join(instruction.lower().replace("’", "'").replace("‘", "'").split())
-    for short, long in _SHORT_FORMS:
-        text = re.sub(short, long, text)
-    return text
-
-
-def _tidy(text: str) -> str:
-    """Without doubled spaces and punctuation that polite words left behind."""
-    text = re.sub(r"\s+([,;:.!?])", r"\1", text)
-    text = re.sub(r"([,;:.!?])[,;:\s]*(?=[,;:.!?])", r"", text)
-    return re.sub(r"^[\s,;:.!?]+|\s+(?=\s)", "", text).strip()
-
-
-def _set_apart(text: str) -> tuple[str, str]:
-    """The text without what it rules out, and what that is."""
-    ruled_out: list[str] = []
-
-    def take(match: re.Match[str]) -> str:
-        span = match[0]
-        again = _RULED_IN_AGAIN.search(span, len(match[1]))
-        kept = span[again.start() :] if again else ""
-        ruled_out.append(span[: len(span) - len(kept)])
-        return " " + kept
-
-    rest = _RULED_OUT.sub(take, text)
-    return _tidy(re.sub(r", *,? *(?=of\b)", " ", rest)), " ; ".join(ruled_out)
-
-
 def _adjectives(ruled_out: Sequence[str]) -> tuple[str, ...]:
     """Actions that ruled-out adjectives stand for: the part that is not sharp does not cut."""
     return tuple(action for word in ruled_out for action in SENSES.get(word, ()))
@@ -327,57 +215,6 @@ SENSES = {
     "hollow": ("contain",),
 }  # fmt: skip
 """What a part of such a look is there for."""
-
-
-def _main_and_purpose(text: str) -> tuple[str, str]:
-    """The text without its purposes, and those; a purpose that is all there is becomes the main clause."""
-    purposes: list[str] = []
-
-    def take(match: re.Match[str]) -> str:
-        if _NOT_A_PURPOSE.match(match[0]):
-            return match[0]
-        before = text[: match.start()].strip()
-        if re.search(
-            r"\b(?:need|want|have|like|love|wish|going|about|able|has|used|ought|time|supposed|wants|trying|plan|got|needs)$",
-            before,
-        ):
-            return match[0].removeprefix("to ") if match[0].startswith("to ") else match[0]
-        purposes.append(match[0])
-        return " "
-
-    main = _PURPOSE.sub(take, text)
-    if not re.search(r"[a-z]", main):
-        return " ; ".join(purposes), ""
-    return _tidy(main), " ; ".join(purposes)
-
-
-_ANY_NUMBER = "a|an|all|any|both|each|either|every|one|some|" + "|".join(sorted(DEFINITE))
-_SPLIT_VERB = re.compile(
-    rf"\b([a-z]+) ((?:{_ANY_NUMBER})(?: [\w'-]+){{1,7}}?|it|them|this|that) "
-    r"(on|off|up|down|in|out|open|shut|closed|away|over|back)"
-    r"(?=\s*(?:$|[.,;:?!]|\b(?:and|again|before|by|for|from|in|into|now|onto|so|then|to|until|using|with)\b))"
-)
-_OPENED = {"open": "open", "shut": "close", "closed": "close"}
-
-
-def joined_verbs(text: str, verbs: Mapping[tuple[str, ...], object]) -> str:
-    """The text with verb and particle side by side: "switch the light on" -> "switch on the light".
-
-    What is thrown, pushed or slid open is opened, and what is pulled shut is closed. "Back" goes, lest it be taken for
-    a chair's.
-    """
-
-    def joined(match: re.Match[str]) -> str:
-        verb, noun, particle = match.groups()
-        if particle == "back":
-            return f"{verb} {noun}" if stem(verb) in verbs else match[0]
-        if stem(f"{verb} {particle}") in verbs:
-            return f"{verb} {particle} {noun}"
-        if particle in _OPENED and stem(verb) in verbs:
-            return f"{_OPENED[particle]} {noun}"
-        return match[0]
-
-    return _SPLIT_VERB.sub(joined, text)
 
 
 def _verbs(words: Sequence[str], know: Knowledge) -> list[Verb]:

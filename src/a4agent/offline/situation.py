@@ -1,0 +1,182 @@
+"""What one sentence and one picture offer to decide on: the things named and seen, and the tools for the job."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from a4agent.offline.knowledge import Knowledge, Part, Thing, stem
+from a4agent.offline.language import Noun, Reading, Verb
+
+BY_HAND = frozenset(["activate", "adjust", "close", "fasten", "grasp", "open", "press", "pull", "push", "turn", "hang"])
+INSTEAD = {
+    "hang": ("grasp",), "throw": ("grasp",), "kick": ("push", "grasp"), "extract": ("pull", "grasp"),
+    "fasten": ("turn", "open"), "turn": ("adjust", "activate"), "lean": ("sit",), "press": ("activate", "squeeze"),
+    "wrap-grasp": ("grasp",), "pry": ("open",), "scoop": ("contain",), "contain": ("scoop", "open"),
+    "support": ("contain", "flip"), "activate": ("press", "open"), "squeeze": ("grasp",), "pull": ("open", "grasp"),
+    "push": ("press", "close", "grasp"), "unlock": ("open",), "wash": ("grasp",), "cook": ("contain",),
+}  # fmt: skip
+"""What comes close to an action that no part of a thing is there for."""
+
+
+@dataclass(frozen=True)
+class Situation:
+    """One sentence as read, the things in the picture, the likeliest first, and the knowledge base."""
+
+    reading: Reading
+    seen: tuple[Thing, ...]
+    know: Knowledge
+
+    def _has_tool(self) -> bool:
+        """Whether a tool is named that does what the sentence asks: "pry the lid off with a screwdriver"."""
+        tools = [noun.thing for noun in self.reading.nouns if noun.role == "tool" and noun.thing]
+        done = [action for verb in self.reading.verbs for action in verb.actions if action != "grasp"]
+        return any(tool.part_for(action) for tool in tools for action in done)
+
+    def _is_remark(self, noun: Noun) -> bool:
+        """Whether the sentence only tells how a part is: "the body is hot"."""
+        after = self.reading.words[noun.end : noun.end + 1]
+        return bool(after) and after[0] in {"is", "are", "was", "were", "feels", "looks", "seems"}
+
+    @property
+    def _things(self) -> list[Thing]:
+        return [noun.thing for noun in self.reading.nouns if noun.thing]
+
+    @property
+    def _candidates(self) -> list[Noun]:
+        """Known things, tools first, then what is acted on, then places."""
+        order = {"tool": 0, "object": 1, "aim": 1, "owner": 2, "place": 2, "goal": 3}
+        flat = [noun.owner if noun.owner and noun.generic else noun for noun in self.reading.nouns]
+        return sorted((n for n in flat if n.thing), key=lambda n: (order[n.role], self._is_remark(n)))
+
+    def _asked_after(self, candidates: Sequence[Noun]) -> Verb | None:
+        """What a second sentence asks to pull, after the first told where things are."""
+        verb = next((v for v in self.reading.verbs if {"pull", "open"} & set(v.actions)), None)
+        return verb if verb and "." in self.reading.words[candidates[-1].end : verb.start] else None
+
+    @property
+    def _states(self) -> bool:
+        """Whether the sentence tells rather than asks: "the mug is empty"."""
+        return bool({"is", "are", "was", "were", "has"} & set(self.reading.words))
+
+    def _leads_on(self, verb: Verb) -> bool:
+        """Whether "take", "get" or "put" is only the way to what follows: "get the knife and cut bread"."""
+        later = [v for v in self.reading.verbs if v.start >= verb.end and not v.purpose]
+        return verb.actions[:1] == ("grasp",) and bool(later) and "and" in self.reading.words[verb.end : later[0].start]
+
+    def _instead(self, verb: Verb) -> tuple[str, ...]:
+        bare = self.know.action_index.get(stem(verb.text.split()[:1]), ()) if " " in verb.text else ()
+        near = [action for one in verb.actions[:2] for action in INSTEAD.get(one, ())]
+        return (*(action for action in bare if action in BY_HAND), *near)
+
+    def _part(self, thing: Thing, action: str) -> Part | None:
+        """The part that affords an action and is not ruled out; for a hand, any part that does not cut."""
+        ruled_out = {stem(noun.part) for noun in self.reading.unwanted if noun.part}
+        ruled_out_actions = (
+            set(self.reading.unwanted_actions) - BY_HAND if self.reading.unwanted_actions else set[str]()
+        )
+        banned = {part.name for part in thing.parts if ruled_out & {stem(name) for name in (part.name, *part.also)}}
+        banned |= {
+            part.name for part in thing.parts if ruled_out_actions & set(part.affords) and "grasp" not in part.affords
+        }
+        part = next((p for p in thing.parts if action in p.affords and p.name not in banned), None)
+        if part or action != "grasp" or not thing.part_for("grasp"):
+            return part
+        left = [p for p in thing.parts if p.name not in banned and not {"cut", "spear"} & set(p.affords)]
+        return next((p for p in left if p.name in ("body", "rim", "base", "shaft")), left[0] if left else None)
+
+    @property
+    def _own_nouns(self) -> list[Noun]:
+        """Nouns that are acted on, without what is only a place or a helper."""
+        flat = [replace(n.owner, role="object") if n.generic and n.owner else n for n in self.reading.nouns]
+        return [n for n in flat if n.role in ("object", "tool", "aim") and n.definite]
+
+    @property
+    def _asks(self) -> bool:
+        return bool({"where", "what", "which", "how"} & set(self.reading.words))
+
+    def _reached_for(self) -> tuple[Thing, str] | None:
+        """The tool for what is to be done, and the action: by verb and what it is done to, then by a wish."""
+        if tool := self._named_by_verb():
+            return tool
+        themes = self.know.find_themes(self.reading.words)
+        verbs = [verb for verb in self.reading.verbs if set(verb.actions) != {"grasp"}] or list(self.reading.verbs)
+        for verb in verbs:
+            for theme in themes:
+                for action, name in theme.value:
+                    if action in verb.actions:
+                        return self.know.objects[name], action
+        return self._wished()
+
+    def _named_by_verb(self) -> tuple[Thing, str] | None:
+        """The tool that a verb is named after: "mop the floor", "ladle the soup"."""
+        for verb in self.reading.verbs:
+            word = verb.text.split()[0]
+            usual = self.know.default_index.get(word, (word,))[0]  # one scoops with a spoon
+            thing = self.know.objects.get(word) if usual == word else None
+            for action in verb.actions if thing else ():
+                if thing and action != "grasp" and thing.part_for(action):
+                    return thing, action
+        return None
+
+    def _vessel(self) -> tuple[Thing, str] | None:
+        """What a drink is in, when a hand takes it: "hold my coffee"."""
+        if not any(set(verb.actions) & {"grasp", "drink"} for verb in self.reading.verbs[:1]):
+            return None
+        pairs = (pair for theme in self.know.find_themes(self.reading.words) for pair in theme.value)
+        return next(((self.know.objects[name], "grasp") for action, name in pairs if action == "drink"), None)
+
+    def _by_verb_alone(self) -> tuple[Thing, str] | None:
+        """What is reached for to do such a thing to anything."""
+        for verb in self.reading.verbs:
+            for action in verb.actions:
+                for name in self.know.default_index.get(action, ()):
+                    return self.know.objects[name], action
+        return None
+
+    def _wished(self) -> tuple[Thing, str] | None:
+        """What helps someone who only says what is wrong: "the soup is cold". A verb still chooses the part."""
+        for wish in self.know.wishes:
+            if re.search(wish.says, self.reading.text):
+                thing = self.know.objects[wish.object]
+                asked = (a for verb in self.reading.verbs for a in verb.actions if a != wish.action and a in BY_HAND)
+                return thing, next((action for action in asked if thing.part_for(action)), wish.action)
+        return None
+
+    def _part_of_a_usual_tool(self, verb: Verb) -> str | None:
+        """The part of the tool that is usually taken for such a job: one stirs with the bowl of a spoon."""
+        tools = (
+            (self.know.objects[name], action)
+            for action in verb.actions
+            for name in self.know.default_index.get(action, ())
+        )
+        return next((part.name for thing, action in tools if (part := thing.part_for(action))), None)
+
+    def _is_idea(self, noun: Noun) -> bool:
+        words = noun.text.split()
+        return any(stem(words[-count:]) in self.know.untouchable for count in (1, 2, 3))
+
+    @property
+    def _wanted_actions(self) -> list[str]:
+        """The actions of the verbs; a relative clause's before those that only fetch ("find", "use")."""
+        asked = [verb for verb in self.reading.verbs if verb.text in ("holds", "keeps")]
+        return [*(["contain"] if asked else []), *(action for verb in self.reading.verbs for action in verb.actions)]
+
+    def _spoken(self, action: str) -> str:
+        """The speaker's own verb for an action."""
+        return next((verb.base for verb in self.reading.verbs if action in verb.actions), action)
+
+    @property
+    def _action(self) -> str | None:
+        return next(iter(self._wanted_actions), None)
+
+    def _is_handled(self, name: str) -> bool:
+        """Whether a part of this name is there for a hand to do what the first verb says: "press the stop button"."""
+        done = set(self.reading.verbs[0].actions) & BY_HAND if self.reading.verbs else set[str]()
+        return any(
+            done & set(part.affords)
+            for thing in self.know.objects.values()
+            for part in thing.parts
+            if stem(name) in {stem(known) for known in (part.name, *part.also)}
+        )
