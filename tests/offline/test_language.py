@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from a4agent.offline.knowledge import knowledge, words
 from a4agent.offline.clauses import joined_verbs
+from a4agent.offline.knowledge import knowledge, words
 from a4agent.offline.language import Reading, read
 
 VERBS = knowledge().action_index
