@@ -125,13 +125,13 @@ def test_globs_and_folders_and_files_mix() -> None:
 
 def test_photographs_that_are_not_read_are_not_passed_over_in_silence(capsys: pytest.CaptureFixture[str]) -> None:
     Path("phone").mkdir()
-    for name in ("one.HEIC", "two.heic", "three.avif"):
+    for name in ("one.JXL", "two.jxl", "three.dng"):
         Path("phone", name).touch()
-    with pytest.raises(InputError, match=r"only \.avif, \.heic files; convert them"):
+    with pytest.raises(InputError, match=r"only \.dng, \.jxl files; convert them"):
         find_sources(["phone"])
     Path("phone", "four.jpg").touch()
     assert [source.image for source in find_sources(["phone"])] == [Path("phone/four.jpg")]
-    assert "skipping 3 files in 'phone' (.avif, .heic)" in capsys.readouterr().err
+    assert "skipping 3 files in 'phone' (.dng, .jxl)" in capsys.readouterr().err
 
 
 def test_names_are_short_unique_and_whole() -> None:

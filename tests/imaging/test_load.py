@@ -5,7 +5,9 @@ from __future__ import annotations
 import gc
 import io
 import os
+import re
 import struct
+import sys
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -16,9 +18,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, ImageOps
 
-from a4agent.errors import InputError
+import a4agent
+from a4agent.errors import InputError, MissingExtraError
 from a4agent.imaging import load
-from a4agent.imaging.load import find_images, image_hash, load_image
+from a4agent.imaging.load import find_images, image_hash, load_image, read_pixels
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (40, 60, 3), dtype=np.uint8)
 PHOTO = Image.fromarray(PIXELS)
@@ -30,7 +33,7 @@ def encoded(image: Image.Image, kind: str, **options: object) -> bytes:
     return buffer.getvalue()
 
 
-@pytest.mark.parametrize("kind", ["PNG", "JPEG", "MPO", "WEBP", "BMP", "TIFF", "GIF", "PPM"])
+@pytest.mark.parametrize("kind", ["PNG", "JPEG", "MPO", "WEBP", "AVIF", "BMP", "TIFF", "GIF", "PPM"])
 def test_common_formats(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "photo"
     path.write_bytes(encoded(PHOTO, kind))
@@ -236,3 +239,96 @@ def test_a_picture_is_hashed_once_and_forgotten_with_it(monkeypatch: pytest.Monk
     assert not [name for _, name in load._HASHES.values() if name == "(255, 0, 0)"]
     names = {image_hash(Image.new("RGB", (4, 3), (shade, 0, 0))) for shade in range(200)}
     assert len(names) == 200  # Python gives the id of an object that is gone to the next one
+
+
+def test_pictures_are_decoded_in_one_place() -> None:
+    """Every other door would need the same named formats and limits."""
+    source = Path(a4agent.__file__).parent
+    doors = [
+        str(path.relative_to(source))
+        for path in source.rglob("*.py")
+        if re.search(r"\b(Images?|Pillow|PIL)\.open\(|\bimread\(|\bimdecode\(", path.read_text(encoding="utf-8"))
+    ]
+    assert doors == [str(Path("imaging") / "load.py")]
+
+
+def test_postscript_never_starts_a_program() -> None:
+    with pytest.raises(InputError, match="not an image"):
+        read_pixels(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EOF\n")
+
+
+def test_a_telephone_picture_is_scaled_down() -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    data = encoded(Image.new("RGB", (800, 600), "red"), "JPEG", exif=exif)
+    assert load_image(data, shrink_to=120_000).size == (300, 400)
+    assert load_image(data, shrink_to=480_000).size == (600, 800)
+    assert load_image(encoded(PHOTO, "PNG"), shrink_to=600).size == (30, 20)
+    assert load_image(PHOTO, shrink_to=600).size == (30, 20)
+    assert load_image(PIXELS, shrink_to=1).size == (1, 1)
+    with pytest.raises(load.TooManyPixels):
+        load_image(data, max_pixels=479_999, shrink_to=1000)
+
+
+def test_shrinking_decodes_no_more_of_a_jpeg_than_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    decoded: list[tuple[int, int]] = []
+    upright = load._upright
+
+    def watched(image: Image.Image) -> Image.Image:
+        decoded.append(image.size)
+        return upright(image)
+
+    monkeypatch.setattr(load, "_upright", watched)
+    assert load_image(encoded(Image.new("RGB", (1600, 1200)), "JPEG"), shrink_to=20_000).size == (163, 122)
+    assert decoded == [(200, 150)]
+
+
+def test_a_path_must_lead_into_the_folder(tmp_path: Path) -> None:
+    inside, outside = tmp_path / "run" / "m.png", tmp_path / "secret.png"
+    inside.parent.mkdir()
+    for path in (inside, outside):
+        PHOTO.save(path)
+    (inside.parent / "link.png").symlink_to(outside)
+    assert load_image(inside, inside=inside.parent).size == (60, 40)
+    for path in (outside, inside.parent / ".." / "secret.png", inside.parent / "link.png"):
+        with pytest.raises(InputError, match="outside the folder"):
+            load_image(path, inside=inside.parent)
+
+
+def test_a_file_of_many_bytes_is_not_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(load, "MAX_BYTES", 100)
+    with pytest.raises(InputError, match="over the limit of 0 MB"):
+        load_image(encoded(PHOTO, "PNG"))
+
+
+@pytest.mark.parametrize(
+    ("mode", "shape"),
+    [("1", (4, 6)), ("L", (4, 6)), ("P", (4, 6)), ("LA", (4, 6)), ("RGB", (4, 6, 3)), ("RGBA", (4, 6, 3))],
+)
+def test_pixels_are_read_as_they_are_stored(mode: str, shape: tuple[int, ...]) -> None:
+    assert read_pixels(encoded(Image.new(mode, (6, 4)), "PNG")).shape == shape
+
+
+def test_sixteen_bit_numbers_are_read_as_they_are_stored() -> None:
+    numbers = np.array([[0, 1, 300, 65535]], np.uint16)
+    np.testing.assert_array_equal(read_pixels(encoded(Image.fromarray(numbers), "PNG")), numbers)
+
+
+HEIC = b"\0\0\0\x18ftypheic" + bytes(80)
+
+
+def test_heic_without_its_library_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    with pytest.raises(MissingExtraError, match=r"a4agent\[heif\]"):
+        load_image(HEIC)
+
+
+def test_heic_photographs() -> None:
+    pillow_heif = pytest.importorskip("pillow_heif")
+    buffer = io.BytesIO()
+    pillow_heif.from_pillow(Image.new("RGB", (64, 48), (200, 30, 40))).save(buffer)
+    image = load_image(buffer.getvalue())
+    assert image.size == (64, 48)
+    assert np.abs(np.asarray(image)[24, 32].astype(int) - (200, 30, 40)).max() < 12
+    with pytest.raises(InputError, match=r"damaged|cannot be decoded|not an image"):
+        load_image(HEIC)

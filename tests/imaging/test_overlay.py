@@ -74,7 +74,7 @@ def test_without_fonts_for_a_script_the_rest_is_still_drawn(monkeypatch: pytest.
 
 
 def test_a_picture_over_the_usual_limit_can_be_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(load_image, "__kwdefaults__", {"max_pixels": 100})
+    monkeypatch.setitem(load_image.__kwdefaults__, "max_pixels", 100)
     assert draw(Image.new("RGB", (30, 20)), answer(30, 20, None)).width == 640
 
 

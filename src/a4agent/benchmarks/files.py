@@ -12,7 +12,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from a4agent.errors import A4Error, DataError
+from a4agent.errors import A4Error, DataError, InputError
+from a4agent.imaging.load import read_pixels
 from a4agent.imaging.masks import decode_rle
 
 MAX_PIXELS = 100_000_000
@@ -61,21 +62,12 @@ def read_mask(path: Path) -> np.ndarray:
     Raises:
         DataError: missing, not a picture, cut off, or too large.
     """
-    from PIL import Image
-
     try:
-        with Image.open(path) as image:
-            if image.width * image.height > MAX_PIXELS:
-                raise DataError(f"the mask {str(path)!r} has {image.width} x {image.height} pixels, which is too many")
-            if image.mode in ("RGBA", "LA", "PA"):
-                image = image.convert(image.mode[:-1] if image.mode != "PA" else "RGB")
-            values = np.asarray(image)
-    except DataError:
-        raise
-    except FileNotFoundError as error:
-        raise DataError(f"no such mask: {str(path)!r}") from error
-    except Exception as error:  # decoders raise errors of their own: struct.error, zlib.error, SyntaxError, ...
-        raise DataError(f"the mask {str(path)!r} cannot be read: {error}") from error
+        values = read_pixels(path)
+    except InputError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            raise DataError(f"no such mask: {str(path)!r}") from error.__cause__
+        raise DataError(f"cannot read the mask: {error}") from error
     foreground = values if values.dtype == np.bool_ else np.not_equal(values, 0)
     return np.logical_or.reduce(foreground, axis=2) if foreground.ndim == 3 else foreground
 

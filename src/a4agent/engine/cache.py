@@ -28,9 +28,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from a4agent.errors import ConfigError, DataError
+from a4agent.errors import ConfigError, DataError, InputError
 from a4agent.files import is_draft, replace_file, system_cache
-from a4agent.imaging.load import image_hash
+from a4agent.imaging.load import image_hash, load_image
 from a4agent.imaging.masks import decode_rle, encode_rle
 from a4agent.protocols import Answer, ChatAnswer, EditAnswer, Expert, Request, Segmentation
 from a4agent.redaction import redact
@@ -247,7 +247,7 @@ def unpack(data: bytes) -> Answer | None:
     line, _, picture = body.partition(b"\n")
     try:
         return _answer(json.loads(line), picture)
-    except (ValueError, KeyError, TypeError, OSError, DataError):
+    except (ValueError, KeyError, TypeError, OSError, InputError, DataError):
         return None
 
 
@@ -257,11 +257,7 @@ def _answer(fields: dict[str, Any], picture: bytes) -> Answer | None:
         case "ChatAnswer":
             return ChatAnswer(fields["text"], fields["reasoning"], fields["finish_reason"], usage)
         case "EditAnswer":
-            from PIL import Image
-
-            with Image.open(io.BytesIO(picture)) as image:
-                image.load()
-                return EditAnswer(image.copy(), usage)
+            return EditAnswer(load_image(picture), usage)
         case "Detection":
             scores = fields["scores"]
             return Detection(

@@ -1,4 +1,8 @@
-"""Pictures in: whatever a person has becomes an upright 8-bit RGB `PIL.Image`, or an error that says why not."""
+"""The only place where pictures are decoded: by named formats, after their size in bytes and pixels is checked.
+
+load_image("mug.heic")           -> an upright 8-bit RGB `PIL.Image`, or an error that says why not
+read_pixels("mask.png")          -> the array as it is stored, without alpha: masks and region numbers
+"""
 
 from __future__ import annotations
 
@@ -15,17 +19,20 @@ from typing import IO, TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from a4agent.errors import InputError
+from a4agent.errors import A4Error, InputError, require
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 MAX_PIXELS = 100_000_000
-SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".gif", ".ppm"})
-UNREAD = frozenset({".heic", ".heif", ".avif", ".jxl", ".jp2", ".tga", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".psd"})
-"""What people have photographs in and has to be converted first."""
-FORMATS = ("JPEG", "PNG", "BMP", "GIF", "PPM", "WEBP", "TIFF")
-"""Pillow's names of what is decoded, whoever sends it: of its other decoders some are untested or start programs."""
+MAX_BYTES = 500_000_000
+HEIC = frozenset({".heic", ".heif"})
+SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".gif", ".ppm", ".avif"}) | HEIC
+UNREAD = frozenset({".jxl", ".jp2", ".tga", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".psd"})
+"""Formats of photographs that have to be converted first."""
+FORMATS = ("JPEG", "PNG", "BMP", "GIF", "PPM", "WEBP", "TIFF", "AVIF")
+"""Pillow's names of the formats that are decoded: some of its other decoders are untested or start programs."""
+HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 ANSWER_PICTURES = ("mask.png", "overlay.png", "imagination.png")
 """What a saved answer may have beside its affordance.json."""
 _TURN = threading.Lock()
@@ -36,60 +43,100 @@ class TooManyPixels(InputError):
     """A picture larger than the limit, told from its header."""
 
 
-def load_image(source: str | Path | bytes | np.ndarray | Image, *, max_pixels: int = MAX_PIXELS) -> Image:
+def load_image(
+    source: str | Path | bytes | np.ndarray | Image,
+    *,
+    max_pixels: int = MAX_PIXELS,
+    shrink_to: int | None = None,
+    inside: str | Path | None = None,
+) -> Image:
     """An RGB picture from a path, the bytes of a file, a uint8 array (H, W, 3) or (H, W), or a PIL image.
 
     EXIF rotation is applied, the first frame of an animation taken, transparency laid on white, 16 bits
-    brought to 8.
+    brought to 8. A picture of more than `shrink_to` pixels is scaled down. A path must lead to a file `inside` that
+    folder, if one is given, links followed.
 
     Raises:
-        InputError: not there, empty, cut off or not an image.
+        InputError: missing, empty, too large, cut off, outside the folder, or not an image.
         TooManyPixels: an InputError too, for more than `max_pixels` pixels.
+        MissingExtraError: an HEIC picture without the extra `heif`.
     """
     from PIL import Image
 
     if isinstance(source, Image.Image):
         with _explained("the image"):
-            return _to_rgb(source, "the image", max_pixels)
+            return _to_rgb(source, "the image", max_pixels, shrink_to)
     if isinstance(source, np.ndarray):
-        return _from_array(source, max_pixels)
+        return _to_rgb(_from_array(source), "the image", max_pixels, shrink_to)
+    with _opened(source, max_pixels, inside) as (image, name):
+        return _to_rgb(image, name, max_pixels, shrink_to)
+
+
+def read_pixels(
+    source: str | Path | bytes, *, max_pixels: int = MAX_PIXELS, inside: str | Path | None = None
+) -> np.ndarray:
+    """The pixels (H, W) or (H, W, 3) of a picture as they are stored (palette indices, 16 bits), without alpha.
+
+    Raises:
+        InputError: as `load_image`.
+    """
+    with _opened(source, max_pixels, inside) as (image, _):
+        if image.mode in ("RGBA", "LA", "PA"):
+            image = image.convert({"RGBA": "RGB", "LA": "L", "PA": "RGB"}[image.mode])
+        return np.array(image)
+
+
+@contextmanager
+def _opened(
+    source: str | Path | bytes, max_pixels: int, inside: str | Path | None
+) -> Generator[tuple[Image, str], None, None]:
+    """A picture whose header has been read and found acceptable, and its name in errors."""
     if isinstance(source, bytes):
-        return _from_file(io.BytesIO(source), "the image", len(source), max_pixels)
+        with _explained("the image"), _identified(io.BytesIO(source), "the image", len(source), max_pixels) as image:
+            yield image, "the image"
+        return
     if not isinstance(cast(Any, source), (str, os.PathLike)):
         raise InputError(f"an image is a path, bytes, an array or a PIL image, not {type(source).__name__}")
-    path = Path(source)
+    path, name = Path(source), repr(str(source))
     try:
+        if inside is not None and not path.resolve().is_relative_to(Path(inside).resolve()):
+            raise InputError(f"{name} is outside the folder {str(inside)!r}")
         size = path.stat().st_size
         if not path.is_file():  # a pipe would block, a device never end
-            raise InputError(
-                f"{str(path)!r} is {'a folder' if path.is_dir() else 'a pipe or device'}, not an image file"
-            )
-        with path.open("rb") as file:
-            return _from_file(file, repr(str(path)), size, max_pixels)
+            raise InputError(f"{name} is {'a folder' if path.is_dir() else 'a pipe or device'}, not an image file")
+        file = path.open("rb")
     except FileNotFoundError as error:
-        raise InputError(f"no such image: {str(path)!r}") from error
-    except (OSError, ValueError) as error:
-        raise InputError(f"{str(path)!r} cannot be read: {error}") from error
+        raise InputError(f"no such image: {name}") from error
+    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: a loop of links
+        raise InputError(f"{name} cannot be read: {error}") from error
+    with file, _explained(name), _identified(file, name, size, max_pixels) as image:
+        yield image, name
 
 
-def _from_file(file: IO[bytes], name: str, size: int, max_pixels: int) -> Image:
-    if size == 0:
-        raise InputError(f"{name} is an empty file")
-    with _explained(name), _open(file) as image:
-        return _to_rgb(image, name, max_pixels)
-
-
-def _open(file: IO[bytes]) -> Image:
+def _identified(file: IO[bytes], name: str, size: int, max_pixels: int) -> Image:
     """The picture, not yet decoded."""
     from PIL import Image
 
+    if size == 0:
+        raise InputError(f"{name} is an empty file")
+    if size > MAX_BYTES:
+        raise InputError(f"{name} has {size // 1_000_000} MB, over the limit of {MAX_BYTES // 1_000_000} MB")
+    head = file.read(12)
+    file.seek(0)
+    formats = FORMATS
+    if head[4:8] == b"ftyp" and head[8:12] in HEIF_BRANDS:
+        heif: Any = require("pillow_heif", extra="heif")
+        heif.register_heif_opener()
+        formats = ("HEIF",)
     with _reading_headers():
-        return Image.open(file, formats=FORMATS)
+        image = Image.open(file, formats=formats)
+    _check_pixels(image, name, max_pixels)
+    return image
 
 
 @contextmanager
 def _reading_headers() -> Generator[None, None, None]:
-    """Without Pillow's own limit of pixels, which gives way to ours, and without its warnings of broken EXIF.
+    """Without Pillow's own pixel limit, as ours applies, and without its warnings of broken EXIF.
 
     Limit and warnings belong to the whole process, so threads take turns.
     """
@@ -111,11 +158,11 @@ def _explained(name: str) -> Generator[None, None, None]:
 
     try:
         yield
-    except InputError:
+    except A4Error:
         raise
     except UnidentifiedImageError as error:
         raise InputError(
-            f"{name} is not an image in a format that can be read (JPEG, PNG, WebP, BMP, TIFF, GIF, PPM)"
+            f"{name} is not an image in a format that can be read (JPEG, PNG, WebP, AVIF, HEIC, BMP, TIFF, GIF, PPM)"
         ) from error
     except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError, KeyError) as error:
         raise InputError(f"{name} is damaged or cut off: {error}") from error
@@ -123,19 +170,17 @@ def _explained(name: str) -> Generator[None, None, None]:
         raise InputError(f"{name} cannot be decoded: {error!r}") from error
 
 
-def _from_array(array: np.ndarray, max_pixels: int) -> Image:
+def _from_array(array: np.ndarray) -> Image:
     from PIL import Image
 
     if array.dtype != np.uint8 or array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] not in (3, 4)):
         raise InputError(f"an image array is uint8 of shape (H, W, 3), not {array.dtype} of {array.shape}")
     if not array.size:
         raise InputError(f"an image array without pixels: {array.shape}")
-    return _to_rgb(Image.fromarray(array), "the image", max_pixels)
+    return Image.fromarray(array)
 
 
-def _to_rgb(image: Image, name: str, max_pixels: int) -> Image:
-    from PIL import Image
-
+def _check_pixels(image: Image, name: str, max_pixels: int) -> None:
     width, height = image.size
     if width * height > max_pixels:
         raise TooManyPixels(
@@ -143,6 +188,17 @@ def _to_rgb(image: Image, name: str, max_pixels: int) -> Image:
         )
     if width * height == 0:
         raise InputError(f"{name} has no pixels")
+
+
+def _to_rgb(image: Image, name: str, max_pixels: int, shrink_to: int | None) -> Image:
+    from PIL import Image
+
+    _check_pixels(image, name, max_pixels)
+    smaller = None
+    if shrink_to is not None and image.width * image.height > shrink_to:
+        scale = (shrink_to / (image.width * image.height)) ** 0.5
+        smaller = max(int(image.width * scale), 1), max(int(image.height * scale), 1)
+        image.draft(None, smaller)  # a JPEG is decoded at half its size or less, and never below this one
     upright = _upright(image)
     if upright.mode in ("I", "F") or upright.mode.startswith("I;16"):
         upright = Image.fromarray(_to_8_bit(np.asarray(upright)))
@@ -151,14 +207,16 @@ def _to_rgb(image: Image, name: str, max_pixels: int) -> Image:
         ground = Image.new("RGBA", upright.size, "white")
         upright = Image.alpha_composite(ground, upright)
     rgb = upright.convert("RGB")
+    if smaller is not None:
+        rgb.thumbnail((max(smaller), max(smaller)), Image.Resampling.LANCZOS)
     rgb.info.clear()  # its EXIF would turn it again
     return rgb
 
 
 def _upright(image: Image) -> Image:
-    """The picture turned as its EXIF says, if that can be read: whatever else stands there, the pixels decide.
+    """The picture turned as its EXIF says, if that can be read.
 
-    Pillow's own `exif_transpose` refuses pictures whose other tags it cannot read or write anew.
+    Pillow's own `exif_transpose` refuses pictures with other tags that it cannot read or write again.
     """
     from PIL import ExifTags
     from PIL.Image import Transpose

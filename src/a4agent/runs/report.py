@@ -22,11 +22,12 @@ import numpy as np
 
 from a4agent import metrics
 from a4agent.engine.pipeline import ordered_map
-from a4agent.errors import DataError
+from a4agent.errors import DataError, InputError
+from a4agent.imaging.load import load_image
 from a4agent.imaging.masks import decode_rle
 from a4agent.redaction import redact
 from a4agent.runs import published, scores
-from a4agent.runs.store import STATUSES, Record, Run, write_atomically
+from a4agent.runs.store import PICTURE_SIDE, STATUSES, Record, Run, write_atomically
 
 LONGEST_ANSWER = 4000
 
@@ -50,7 +51,7 @@ def render(run: Run) -> str:
 
     side = picture_side(len(run.records))
     files_of = dict.fromkeys(name for record in run.records.values() for name in record.pictures.values())
-    embedded = ordered_map(lambda name: _embedded(run.folder / name, side), files_of)
+    embedded = ordered_map(lambda name: _embedded(run.folder, name, side), files_of)
     pictures = {name: data for name, data in zip(files_of, embedded, strict=True) if data}
     samples = list(ordered_map(lambda record: _sample(record, side, pictures), run.records.values()))
     page = files("a4agent.runs") / "page"
@@ -141,18 +142,17 @@ def small_mask(mask: Mapping[str, Any], view: tuple[int, int]) -> list[int]:
     return [0, *runs] if pixels[0] else runs
 
 
-def _embedded(path: Path, side: int) -> str:
-    """A picture in base64; "" if its file is gone or broken (the rest is still worth reading)."""
+def _embedded(folder: Path, name: str, side: int) -> str:
+    """A picture of the run in base64; "" if its file is missing, damaged, too large or outside the run's folder."""
     from PIL import Image
 
     try:
-        with Image.open(path) as image:
-            image.draft("RGB", (side, side))
-            image.thumbnail((side, side), Image.Resampling.HAMMING)
-            buffer = io.BytesIO()
-            image.convert("RGB").save(buffer, "WEBP", quality=75, method=2)  # half of a JPEG's bytes
-    except OSError:
+        image = load_image(folder / name, max_pixels=PICTURE_SIDE**2, inside=folder)
+    except InputError:
         return ""
+    image.thumbnail((side, side), Image.Resampling.HAMMING)
+    buffer = io.BytesIO()
+    image.save(buffer, "WEBP", quality=75, method=2)  # half of a JPEG's bytes
     return base64.b64encode(buffer.getvalue()).decode("ascii")
 
 

@@ -24,8 +24,9 @@ from pydantic import BaseModel, Field, ValidationError
 
 from a4agent.benchmarks import files
 from a4agent.benchmarks.base import Benchmark, Sample, Truth
-from a4agent.errors import A4Error, DataError
+from a4agent.errors import A4Error, DataError, InputError
 from a4agent.files import system_cache
+from a4agent.imaging.load import read_pixels
 from a4agent.types import Query
 
 log = logging.getLogger("a4agent")
@@ -218,14 +219,10 @@ def _mask(root: Path, name: str) -> np.ndarray:
 
 
 def _pixels(root: Path, name: str) -> np.ndarray:
-    from PIL import Image
-
-    path = files.confined(root.resolve(), name)
     try:
-        with Image.open(path) as image:
-            return np.array(image)
-    except OSError as error:
-        raise DataError(f"{str(path)!r} cannot be read: {error}") from error
+        return read_pixels(files.confined(root.resolve(), name))
+    except InputError as error:
+        raise DataError(str(error)) from error
 
 
 def _bin(share: float, bins: tuple[tuple[float, str], ...]) -> str:

@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import base64
 import binascii
-import io
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from a4agent.errors import A4Error, ConfigError, UnreadableAnswer
+from a4agent.errors import A4Error, ConfigError, InputError, UnreadableAnswer
 from a4agent.experts.remote.base import RemoteExpert, fields_from_setting
 from a4agent.experts.remote.connection import Connection
 from a4agent.imaging.encode import PictureEncoder
+from a4agent.imaging.load import load_image
 from a4agent.protocols import EditAnswer, EditRequest, Role
 
 if TYPE_CHECKING:
@@ -133,10 +133,7 @@ class OpenAIEditor(RemoteExpert):
         return self._decode(encoded)
 
     def _decode(self, encoded: str) -> Image:
-        from PIL import Image
-
         try:
-            with Image.open(io.BytesIO(base64.b64decode(encoded, validate=True))) as image:
-                return image.convert("RGB")
-        except (binascii.Error, OSError, ValueError, Image.DecompressionBombError) as error:
+            return load_image(base64.b64decode(encoded, validate=True))
+        except (binascii.Error, ValueError, InputError) as error:
             raise UnreadableAnswer(f"{self._connection} sent a picture that cannot be read: {error}") from error
