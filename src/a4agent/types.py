@@ -335,14 +335,20 @@ class Affordance:
         return f"{self.status}: {self.error or self.phrase}"
 
     def draw(self, *, caption: bool = True, opacity: float = 0.5) -> Image:
-        """The photograph with the answer over it, 640 to 1600 pixels on its longer side.
+        """The photograph with the answer over it, 640 to 1600 pixels on its longer side; hatched if it abstained.
 
         Raises:
             InputError: the answer was read from a file and has no photograph.
         """
         if self.image is None:
             raise InputError("this answer was read from a file and has no photograph; see imaging.overlay.draw")
-        return overlay.draw(self.image, self.regions, caption=self.summary if caption else None, opacity=opacity)
+        return overlay.draw(
+            self.image,
+            self.regions,
+            caption=self.summary if caption else None,
+            opacity=opacity,
+            hatched=self.status == "abstained",
+        )
 
     def save(self, folder: str | Path) -> Path:
         """Write affordance.json, mask.png, overlay.png and imagination.png (the last two if there is a picture).

@@ -85,3 +85,15 @@ def test_an_answer_is_saved_whole_and_read_back(tmp_path: Path) -> None:
     assert sorted(path.name for path in folder.iterdir()) == ["affordance.json", "mask.png", "overlay.png"]
     np.testing.assert_array_equal(np.asarray(load_image(folder / "mask.png"))[..., 0] > 0, affordance.mask)
     assert Affordance.load(folder).to_dict() == affordance.to_dict()
+
+
+def test_an_unsure_answer_is_hatched() -> None:
+    """Some pixels of the mask keep their colour, and its outline is drawn all the same."""
+    sure = replace(answer(640, 480, (100, 100, 300, 300)), image=Image.new("RGB", (640, 480), "grey"))
+    unsure = replace(sure, status="abstained", confidence=0.3)
+    tinted, hatched = (np.asarray(each.draw(caption=False))[110:180, 110:180].reshape(-1, 3) for each in (sure, unsure))
+    assert len(np.unique(tinted, axis=0)) == 1
+    kept = (hatched == 128).all(1).mean()
+    assert 0.5 < kept < 0.8
+    outline = [np.asarray(each.draw(caption=False))[97:103, 200].astype(int) for each in (sure, unsure)]
+    assert np.abs(outline[0] - outline[1]).max() < 10

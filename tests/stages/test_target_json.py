@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import time
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from a4agent.errors import UnreadableAnswer
-from a4agent.stages.target_json import json_values, read_target
+from a4agent.stages.target_json import json_values, read_target, thinking_in
 from a4agent.testing import output
 
 GOOD = '{"task": "drink", "object_name": "mug", "object_part": "the handle of the mug"}'
@@ -115,3 +116,37 @@ def test_what_is_written_is_read_back(name: str, part: str, noise: str) -> None:
 def test_many_openings_do_not_take_for_ever() -> None:
     assert list(json_values("{" * 100_000)) == []
     assert list(json_values("[" * 100_000 + "]" * 100_000)) == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\n" * 100_000,
+        '"\\' * 50_000,
+        '"' * 100_001,
+        ", " * 50_000,
+        "[" * 100_000,
+        "{" * 100_000,
+        "# " * 50_000,
+        "```" * 40_000,
+        " \n> " * 30_000 + "{",
+        "_" * 100_000 + "\n",
+        "###" + " " * 100_000,
+        '{"a": "' * 20_000,
+    ],
+    ids=lambda text: repr(text[:8]),
+)
+def test_hostile_answers_take_no_longer_than_their_length(text: str) -> None:
+    started = time.process_time()
+    with pytest.raises(UnreadableAnswer):
+        read_target(text)
+    thinking_in(text)
+    assert time.process_time() - started < 2.0
+
+
+def test_of_an_endless_answer_the_end_is_read() -> None:
+    assert read_target("wait, " * 100_000 + output("the rim")).object_part == "the rim"
+
+
+def test_a_stray_quote_hides_no_json() -> None:
+    assert read_target('a 5" pipe\n{"object_name": "pipe", "object_part": "the end",}').object_part == "the end"

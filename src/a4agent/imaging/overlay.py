@@ -1,6 +1,7 @@
 """A picture of the answer: the mask tinted with a clean outline, the box, the key points, the phrase.
 
-Everything is drawn light over a dark halo, so that it reads on bright and on dark photographs alike.
+Everything is drawn light over a dark halo, so that it reads on bright and on dark photographs alike. A guess that
+was not accepted is hatched instead of tinted.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ DARK = (16, 18, 24)
 LIGHT = (255, 255, 255)
 SHORTEST, LONGEST = 640, 1600
 LONGEST_CAPTION = 300
-"""In characters; more fit on no overlay."""
+"""In characters."""
 FONTS = (
     "NotoSans-Regular.ttf",
     "DejaVuSans.ttf",
@@ -38,7 +39,7 @@ FONTS = (
     "malgun.ttf",
     "arial.ttf",
 )
-"""What Linux, macOS and Windows may have for scripts other than Latin, by file name."""
+"""Fonts for scripts other than Latin on Linux, macOS and Windows, by file name."""
 
 
 class Marked(Protocol):
@@ -53,11 +54,17 @@ class Marked(Protocol):
 
 
 def draw(
-    image: Image | np.ndarray, regions: Sequence[Marked], *, caption: str | None = None, opacity: float = 0.5
+    image: Image | np.ndarray,
+    regions: Sequence[Marked],
+    *,
+    caption: str | None = None,
+    opacity: float = 0.5,
+    hatched: bool = False,
 ) -> Image:
     """The photograph with the regions over it; scaled so that its longer side has 640 to 1600 pixels.
 
-    `opacity` of the tint is 0 to 1; `caption` is a line of text below, None for no line.
+    `opacity` of the tint is 0 to 1; `caption` is a line of text below, None for no line; `hatched` draws the masks as
+    stripes, for an answer that is unsure.
     """
     from PIL import Image as Pillow
 
@@ -71,7 +78,7 @@ def draw(
         canvas = _dim_outside(canvas, np.logical_or.reduce(masks))
     for number, region in enumerate(regions):
         accent = ACCENTS[number % len(ACCENTS)]
-        canvas = _tint(canvas, region.mask, accent, opacity, stroke)
+        canvas = _tint(canvas, region.mask, accent, opacity, stroke, hatched)
     for number, region in enumerate(regions):
         accent = ACCENTS[number % len(ACCENTS)]
         if region.box_xyxy is not None:
@@ -96,14 +103,17 @@ def _dim_outside(canvas: Image, mask: np.ndarray) -> Image:
     return Pillow.composite(canvas, dimmed, _soft(mask, canvas.size))
 
 
-def _tint(canvas: Image, mask: np.ndarray, accent: tuple[int, int, int], opacity: float, stroke: int) -> Image:
+def _tint(
+    canvas: Image, mask: np.ndarray, accent: tuple[int, int, int], opacity: float, stroke: int, hatched: bool
+) -> Image:
     from PIL import Image as Pillow
-    from PIL import ImageFilter
+    from PIL import ImageChops, ImageFilter
 
     soft = _soft(mask, canvas.size)
-    tinted = Pillow.composite(
-        Pillow.new("RGB", canvas.size, accent), canvas, soft.point([round(value * opacity) for value in range(256)])
-    )
+    tint = soft.point([round(value * opacity) for value in range(256)])
+    if hatched:
+        tint = ImageChops.multiply(tint, _stripes(canvas.size, 4 * stroke))
+    tinted = Pillow.composite(Pillow.new("RGB", canvas.size, accent), canvas, tint)
     hard = soft.point([255 * (value > 127) for value in range(256)])
     inner = hard.filter(ImageFilter.MinFilter(2 * stroke + 1))
     outer = hard.filter(ImageFilter.MaxFilter(2 * stroke + 1))
@@ -116,6 +126,14 @@ def _tint(canvas: Image, mask: np.ndarray, accent: tuple[int, int, int], opacity
     tinted = Pillow.composite(Pillow.new("RGB", canvas.size, DARK), tinted, ring(halo, outer))
     tinted = Pillow.composite(Pillow.new("RGB", canvas.size, LIGHT), tinted, ring(outer, hard))
     return Pillow.composite(Pillow.new("RGB", canvas.size, accent), tinted, ring(hard, inner))
+
+
+def _stripes(size: tuple[int, int], width: int) -> Image:
+    """Diagonal stripes as an 8-bit picture: `width` pixels on, twice as many off."""
+    from PIL import Image as Pillow
+
+    rows, columns = np.ogrid[: size[1], : size[0]]
+    return Pillow.fromarray((((rows + columns) % (3 * width) < width) * 255).astype(np.uint8))
 
 
 def _draw_box(canvas: Image, box_xyxy: np.ndarray, accent: tuple[int, int, int], stroke: int) -> None:

@@ -1,4 +1,4 @@
-"""Reading the Thinker's answer: prose around, fences, trailing commas and repeated JSON are all survived.
+"""Read the Thinker's answer: JSON within prose or fences, with trailing commas, or given more than once.
 
 ### Thinking
 The mug's body is hot, so ...
@@ -18,11 +18,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from a4agent.errors import UnreadableAnswer
 from a4agent.types import Target
 
-OUTPUT = re.compile(r"^[\s>*_]*#{1,6}[\s*_]*output\b[\s*_:]*", re.IGNORECASE | re.MULTILINE)
-THINKING = re.compile(r"^[\s>*_]*#{1,6}[\s*_]*thinking\b[\s*_:]*", re.IGNORECASE | re.MULTILINE)
-LEAD_IN = re.compile(r"\s*(?:```\w*)?[\s\[]*$")
-TRAILING_COMMA = re.compile(r'("(?:[^"\\\n]|\\.)*")|,(?=\s*[}\]])')  # a stray quote in prose ends with its line
-MAX_OPENINGS = 1000
+OUTPUT = re.compile(r"^[ \t>*_]*#{1,6}[ \t*_]*output\b[\s*_:]*", re.IGNORECASE | re.MULTILINE)
+THINKING = re.compile(r"^[ \t>*_]*#{1,6}[ \t*_]*thinking\b[\s*_:]*", re.IGNORECASE | re.MULTILINE)
+FENCE = re.compile(r"```\w*\Z")
+TRAILING_COMMA = re.compile(r'("(?:[^"\\\n]|\\.)*"?)|,(?=\s*[}\]])')  # a stray quote in prose ends with its line
+LONGEST = 200_000
+"""In characters; of a longer answer the end is read."""
+MAX_OPENINGS = 300
 
 
 class TargetAnswer(BaseModel):
@@ -37,7 +39,7 @@ class TargetAnswer(BaseModel):
 
     @field_validator("task", "thinking", mode="before")
     @classmethod
-    def _nothing_is_blank(cls, value: Any) -> Any:
+    def _none_as_blank(cls, value: Any) -> Any:
         return "" if value is None else value
 
     @field_validator("object_name", "object_part")
@@ -56,6 +58,7 @@ def read_target(text: str) -> Target:
     Raises:
         UnreadableAnswer: no valid object; the message is the reason, in words that can be sent back to the model.
     """
+    text = text[-LONGEST:]
     if not text.strip():
         raise UnreadableAnswer("the answer was empty")
     output = list(OUTPUT.finditer(text))
@@ -95,13 +98,16 @@ def _reason(error: ValidationError) -> str:
 
 
 def _thinking(text: str, end: int | None) -> str:
-    before = text[:end] if end is not None else LEAD_IN.sub("", text[: max(text.find("{"), 0)])
+    before = (
+        text[:end] if end is not None else FENCE.sub("", text[: max(text.find("{"), 0)].rstrip().rstrip("[").rstrip())
+    )
     heading = THINKING.search(before)
     return (before[heading.end() :] if heading else before).strip()
 
 
 def thinking_in(text: str) -> str:
-    """The prose of an answer: what stands under "### Thinking", or before the output."""
+    """The prose of an answer: the text under "### Thinking", or before the output."""
+    text = text[-LONGEST:]
     output = list(OUTPUT.finditer(text))
     return _thinking(text, output[-1].start()) if output else _thinking(text, len(text))
 
@@ -109,6 +115,7 @@ def thinking_in(text: str) -> str:
 def json_values(text: str) -> Iterator[dict[str, Any] | list[Any]]:
     """All outermost JSON objects and lists in a text, in order; trailing commas and raw line breaks allowed."""
     decoder = json.JSONDecoder(strict=False)
+    text = text[-LONGEST:]
     text = TRAILING_COMMA.sub(lambda match: match.group(1) or "", text)
     place, tried = 0, 0
     while tried < MAX_OPENINGS:
