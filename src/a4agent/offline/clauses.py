@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from a4agent.offline.knowledge import COLOURS, stem
+from a4agent.offline.knowledge import COLOURS, QUALIFIERS, knowledge, stem
 from a4agent.offline.spelling import corrected
 from a4agent.offline.translation import in_english
 
@@ -31,15 +31,7 @@ _SHORT_FORMS = (
     (r"'ve\b", " have"),
     (r"\b(?:pls|plz|plse)\b", "please"),
     (r"\bu\b", "you"),
-)
-# "can" is a tin after an article or an adjective, and "could" everywhere else.
-_MODAL = re.compile(
-    r"(?<![\w-])can(?= (?:i|you|we|they|he|she|it|one|somebody|someone|anyone|the|my|be|not|also|only|please)\b)"
-    r"|(?<=\b(?:i|u) )can\b"
-    r"|(?<=\b(?:we|he|it) )can\b"
-    r"|(?<=\b(?:you|she|one) )can\b"
-    r"|(?<=\b(?:they|part|that|what|tool|hand) )can\b(?= [a-z])"
-    r"|(?<=\b(?:which|where|thing) )can\b(?= [a-z])"
+    (r"\b(turn|switch|take) of (?=the|my|this|that)", r"\1 off "),
 )
 _YOU = r"(?:you|we|one|somebody|someone|anyone|anybody)"
 _I = r"(?:i|we)"
@@ -100,9 +92,35 @@ def plain(instruction: str) -> str | None:
     english = in_english(_expanded(instruction))
     if english is None:
         return None
-    text = corrected(_GIVEN.sub("give me", _MODAL.sub("could", english)))
-    text = _TWO_COLOURS.sub(r"\1", _MODAL.sub("could", text))
+    text = corrected(_GIVEN.sub("give me", _modal(english)))
+    text = _TWO_COLOURS.sub(r"\1", _modal(text))
     return _tidy(_POLITE.sub(" ", text))
+
+
+def _modal(text: str) -> str:
+    """ "can" is a tin after an article, an adjective or an order, and "could" everywhere else."""
+    said = re.findall(r"[\w'-]+|[^\w\s]", text)
+
+    def modal(at: int) -> bool:
+        before = said[at - 1] if at else ""
+        after = said[at + 1] if at + 1 < len(said) else "."
+        if after in _PERSONS or after in {"be", "not", "also", "only"}:
+            return True
+        if not after[0].isalpha():
+            return False
+        if before in {"that", "this"}:
+            return (stem(after) in knowledge().action_index) or after in {"help", "touch"}
+        describes = before in QUALIFIERS or (before, "can") in knowledge().object_index
+        adjective = at > 1 and said[at - 2] in _ARTICLES and stem(before) not in knowledge().nouns
+        return not (before in _ARTICLES or describes or adjective)
+
+    at = [index for index, word in enumerate(said) if word == "can"]
+    modals = iter([modal(index) for index in at])
+    return re.sub(r"(?<![\w'-])can(?![\w'-])", lambda match: "could" if next(modals) else "can", text)
+
+
+_PERSONS = frozenset(["i", "you", "we", "they", "he", "she", "it", "one", "somebody", "someone", "anyone"])
+_ARTICLES = DEFINITE | {"a", "an", "any", "some", "every", "each", "another"}
 
 
 def _expanded(instruction: str) -> str:
@@ -147,7 +165,7 @@ def main_and_purpose(text: str) -> tuple[str, str]:
             r"\b(?:need|want|have|like|love|wish|going|about|able|has|used|ought|time|supposed|wants|trying|plan|got|needs)$",
             before,
         ):
-            return match[0].removeprefix("to ") if match[0].startswith("to ") else match[0]
+            return match[0]
         purposes.append(match[0])
         return " "
 

@@ -14,40 +14,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 from a4agent.offline.knowledge import QUALIFIERS, Knowledge, Part, Thing, knowledge, stem
-from a4agent.offline.language import SENSES, Noun, Verb, read
+from a4agent.offline.language import SENSES, Reading, Verb, read
+from a4agent.offline.noun_phrases import Noun
 from a4agent.offline.situation import BY_HAND, INSTEAD, Situation
-
-EXAMPLES = "Try 'open the drawer' or 'pick up the mug'."
-
-
-@dataclass(frozen=True)
-class Decision:
-    """The thing and its part, or None for both if the sentence is refused.
-
-    `because` is the reason in words, or the refusal; `action` what will be done; `sure` is False for a guess about
-    a thing that the knowledge base does not hold.
-    """
-
-    object_name: str | None
-    part_name: str | None
-    because: str
-    action: str = "use"
-    sure: bool = True
-
-    @property
-    def phrase(self) -> str:
-        """ "the handle of the mug", "the part that can cut", or "" for a refusal."""
-        if not self.part_name:
-            return ""
-        if self.part_name.startswith("part that can "):
-            of_it = "" if self.object_name == "object" else f" of the {self.object_name}"
-            return f"the part{of_it} {self.part_name.removeprefix('part ')}"
-        return f"the {self.part_name} of the {self.object_name}"
-
+from a4agent.offline.wording import Decision, decision, held, listed, noun_of, refused, used_for, with_article
 
 _FACTS = re.compile(
     r"(?:who|whose|whom|why|when (?:did|do|does|is|was|were|will)|what (?:time|day|year|is the (?!handle|part)))\b"
@@ -67,13 +41,21 @@ def decide(instruction: str, seen: tuple[str, ...] = (), missing: frozenset[str]
     """
     reading = read(instruction)
     if reading is None:
-        return _refused(instruction, "I can read English, and simple German, French, Spanish, Italian and Dutch.")
-    if _FACTS.match(reading.text):
-        return _refused(instruction)
+        return refused(instruction, "I can read English, and simple German, French, Spanish, Italian and Dutch.")
     know = knowledge()
+    named = any(noun.thing or noun.part or noun.generic for noun in reading.nouns)
+    if _FACTS.match(reading.text) and not (named and reading.text.startswith("what")):
+        return refused(instruction)
     things = tuple(thing for name in seen if (thing := know.object_named(name)))
-    found = _Decider(reading, things, know).decide() or _refused(instruction)
-    return _compared(found, things, missing, know)
+    found = _Decider(reading, things, know).decide() or refused(instruction)
+    return _compared(_with_its_looks(found, reading), things, missing, know)
+
+
+def _with_its_looks(found: Decision, reading: Reading) -> Decision:
+    """The part with the qualifiers it is described by: "grab the knife with the black handle"."""
+    described = (n for n in reading.nouns if n.part and n.role == "tool" and n.qualifiers and not n.owner)
+    noun = next((n for n in described if found.part_name and stem(n.text) == stem(found.part_name)), None)
+    return replace(found, part_name=f"{' '.join(noun.qualifiers)} {found.part_name}") if noun else found
 
 
 def _compared(found: Decision, seen: tuple[Thing, ...], missing: frozenset[str], know: Knowledge) -> Decision:
@@ -81,7 +63,7 @@ def _compared(found: Decision, seen: tuple[Thing, ...], missing: frozenset[str],
     thing = know.object_named(_without_qualifiers(found.object_name or ""))
     if thing is None or thing.kind not in missing:
         return found
-    shown = f"shows {_listed([other.key for other in seen])}" if seen else "does not show it clearly"
+    shown = f"shows {listed([other.key for other in seen])}" if seen else "does not show it clearly"
     because = f"{found.because} I see no {thing.key}: the picture {shown}."
     return replace(found, because=because, sure=False)
 
@@ -116,6 +98,8 @@ class _Decider(Situation):
             owner = noun.owner
             if noun.role == "object" and self._has_tool():
                 continue
+            if noun.role in ("place", "goal") and any(n.role == "object" and n.thing for n in nouns[:place]) and owner:
+                continue
             if owner is None and (self._is_remark(noun) or (noun.role == "tool" and self._things)):
                 continue
             if owner is None and not self._part_is_meant(noun, nouns[:place]):
@@ -125,7 +109,7 @@ class _Decider(Situation):
             if owner is None:
                 continue
             if handle := self._handle_instead(noun, owner):
-                return _decision(
+                return decision(
                     owner, handle, "open", f"To move the {noun.text}, use the {handle.name} of the {owner.name}."
                 )
             name = owner.name
@@ -191,7 +175,9 @@ class _Decider(Situation):
         if asked is None:
             return None
         owner = asked.owner
-        sense = [action for word in self.reading.words for action in SENSES.get(word, ())]
+        described = [word for word in asked.text.split() if word.endswith("ing")]  # "the cutting part"
+        sense = [action for word in self.reading.words for action in self._sense(word)]
+        sense += [action for word in described for action in self.know.action_index.get(stem(word), ())]
         if owner is None or owner.thing is None:
             if owner and not owner.pronoun and owner.part is None:  # a thing nobody knows
                 return None
@@ -199,20 +185,35 @@ class _Decider(Situation):
                 return self._of_anything(sense[0], sense[0])
             return None
         thing = owner.thing
-        if self.reading.holding and (part := self._part(thing, "grasp")):
-            return _held(owner, part)
+        if self._is_to_hold_something():
+            wanted = ["contain", *wanted]
+        elif self.reading.holding and (part := self._part(thing, "grasp")):
+            return held(owner, part)
         if sense and (part := self._part(thing, sense[0])):
-            return _decision(owner, part, sense[0], f"That is the {part.name} of the {owner.name}.")
+            return decision(owner, part, sense[0], f"That is the {part.name} of the {owner.name}.")
         for action in wanted:
-            if part := self._part(thing, action):
-                return _decision(
+            rim = thing.part_named("rim") if action == "drink" else None
+            if part := rim or self._part(thing, action):
+                return decision(
                     owner, part, action, f"To {self._spoken(action)}, use the {part.name} of the {owner.name}."
                 )
         for action in (other for one in wanted for other in INSTEAD.get(one, ())):
             if part := self._part(thing, action):
-                return _decision(owner, part, action, f"For that, use the {part.name} of the {owner.name}.")
+                return decision(owner, part, action, f"For that, use the {part.name} of the {owner.name}.")
         part = next((part for part in thing.parts if part.affords and "grasp" not in part.affords), thing.parts[0])
-        return _decision(owner, part, "use", f"That is the {part.name} of the {owner.name}.")
+        return decision(owner, part, "use", f"That is the {part.name} of the {owner.name}.")
+
+    def _sense(self, word: str) -> tuple[str, ...]:
+        """What an adjective wants of a part: the sharp one cuts, the graspable one is grasped."""
+        verb = stem(word.removesuffix("able")) if word.endswith("able") and len(word) > 6 else ()
+        return SENSES.get(word, ()) or (self.know.action_index.get(verb, ()) if verb else ())
+
+    def _is_to_hold_something(self) -> bool:
+        """Whether the part does the holding: "which part of the spoon would hold the soup?"."""
+        words = self.reading.words
+        hold = next((verb for verb in self.reading.verbs if verb.base in ("hold", "keep")), None)
+        people = {"i", "you", "we", "one", "me", "my", "your", "hand", "hands", "robot", "someone", "people", "should"}
+        return bool(hold) and not people & set(words) and any(n.start >= hold.end for n in self.reading.nouns if hold)
 
     # ---- "where do I hold it?"
 
@@ -221,15 +222,27 @@ class _Decider(Situation):
             return None
         noun = next((n for n in self._candidates if n.thing), None)
         if noun and noun.thing and (part := self._part(noun.thing, "grasp")):
-            return _held(noun, part)
-        if any(n.definite and not n.pronoun for n in self._own_nouns if n.part is None and not n.generic):
-            return self._guess()
+            return held(noun, part)
         tool = self._reached_for()
+        if not tool and any(n.definite and not n.pronoun for n in self._own_nouns if not n.part and not n.generic):
+            return self._guess()
         if tool and (part := self._part(tool[0], "grasp")):
-            return _held(Noun(tool[0].name, 0, 0, thing=tool[0]), part)
+            return held(Noun(tool[0].name, 0, 0, thing=tool[0]), part)
         return self._of_anything("grasp", "hold it")
 
     # ---- a thing that is named
+
+    def _acted_on(self, nouns: Sequence[Noun], verb: Verb) -> Decision | None:
+        """The first of some things that a verb can be done to or with, else that comes close to it."""
+        for noun in nouns:
+            for action in _actions_on(noun, verb):
+                if noun.thing and (part := self._part(noun.thing, action)):
+                    return decision(noun, part, action, used_for(verb, noun, part))
+        for action in self._instead(verb):
+            for noun in nouns:
+                if noun.thing and (part := self._part(noun.thing, action)):
+                    return decision(noun, part, action, f"For that, use the {part.name} of the {noun.name}.")
+        return None
 
     def _known_thing(self) -> Decision | None:
         candidates = self._candidates
@@ -242,7 +255,9 @@ class _Decider(Situation):
             verbs = [asked]
             candidates = sorted(candidates, key=lambda noun: not (noun.thing and noun.thing.part_for("open")))
         tool = None if candidates[0].role == "tool" else (self._reached_for() or self._by_verb_alone())
-        unknown_tool = next((n for n in self.reading.nouns if n.role == "tool" and not n.thing and not n.pronoun), None)
+        unknown_tool = next(
+            (n for n in self.reading.nouns if n.role == "tool" and n.definite and not n.thing and not n.pronoun), None
+        )
         for verb in verbs:
             if self._leads_on(verb):
                 continue
@@ -251,26 +266,23 @@ class _Decider(Situation):
             first = candidates[0].thing
             if tool and tool[1] in verb.actions and tool[1] not in _UNDERGONE and first and not _affords(first, verb):
                 part = self._part(*tool)
-                return part and _decision(_noun(tool[0]), part, tool[1], self._tool_for(tool[1], tool[0], part))
-            for noun in candidates:
-                for action in _actions_on(noun, verb):
-                    if noun.thing and (part := self._part(noun.thing, action)):
-                        return _decision(noun, part, action, _used_for(verb, noun, part))
-        for verb in verbs:
-            for action in self._instead(verb):
-                for noun in candidates:
-                    if noun.thing and (part := self._part(noun.thing, action)):
-                        why = f"For that, use the {part.name} of the {noun.name}."
-                        return _decision(noun, part, action, why)
+                return part and decision(noun_of(tool[0]), part, tool[1], self._tool_for(tool[1], tool[0], part))
+            near = [noun for noun in candidates if noun.role not in ("place", "goal", "owner")]
+            for nouns in (near, [noun for noun in candidates if noun not in near]):
+                if found := self._acted_on(nouns, verb):
+                    return found
         wish = self._wished()
         if wish and (part := self._part(*wish)):
-            return _decision(
-                _noun(wish[0]), part, wish[1], f"{_a(wish[0].name).capitalize()} would help: use the {part.name}."
+            return decision(
+                noun_of(wish[0]),
+                part,
+                wish[1],
+                f"{with_article(wish[0].name).capitalize()} would help: use the {part.name}.",
             )
         noun = candidates[0]
         if not verbs and noun.thing and len(candidates) == 1 and not self._states:
             part = self._part(noun.thing, "grasp") or noun.thing.parts[0]
-            return _decision(noun, part, "grasp", f"Only the {noun.name} is named: hold the {part.name}.")
+            return decision(noun, part, "grasp", f"Only the {noun.name} is named: hold the {part.name}.")
         return None
 
     # ---- "drink from this"
@@ -310,14 +322,19 @@ class _Decider(Situation):
         for thing in self.seen:
             for one in (*(actions or (action,)), *INSTEAD.get(action, ())):
                 if part := self._part(thing, one):
-                    return _decision(
-                        _noun(thing), part, one, f"I see {_a(thing.name)}: to {self._spoken(one)}, use the {part.name}."
+                    return decision(
+                        noun_of(thing),
+                        part,
+                        one,
+                        f"I see {with_article(thing.name)}: to {self._spoken(one)}, use the {part.name}.",
                     )
         usual = self.know.usual_part.get(stem(spoken)) or self.know.usual_part.get(stem(action))
         noun = next((n for n in self.reading.nouns if n.pronoun), Noun("object", 0, 0, pronoun=True))
         name = " ".join((*noun.qualifiers, "object"))
         if usual and not re.search(r"\bpart\b.*\bcould\b", self.reading.text):
-            return Decision(name, usual, f"No thing is named; most things have {_a(usual)} to {spoken}.", action, False)
+            return Decision(
+                name, usual, f"No thing is named; most things have {with_article(usual)} to {spoken}.", action, False
+            )
         return Decision(
             name, f"part that can {action}", f"No thing is named, so the part that can {action} is looked for.", action
         )
@@ -337,10 +354,10 @@ class _Decider(Situation):
             return None
         thing, action = tool
         why = self._tool_for(action, thing, part)
-        return _decision(_noun(thing), part, action, why)
+        return decision(noun_of(thing), part, action, why)
 
     def _tool_for(self, action: str, thing: Thing, part: Part) -> str:
-        return f"To {self._spoken(action)}, use the {part.name} of {_a(thing.name)}."
+        return f"To {self._spoken(action)}, use the {part.name} of {with_article(thing.name)}."
 
     # ---- a thing that nobody knows
 
@@ -361,7 +378,7 @@ class _Decider(Situation):
                 if noun.role == "place" and verb.actions[0] not in (*_UNDERGONE, "pour"):
                     continue
                 part = "handle" if self.reading.holding else usual
-                why = f"I do not know this {noun.text}; most things have {_a(part)} to {verb.base}."
+                why = f"I do not know this {noun.text}; most things have {with_article(part)} to {verb.base}."
                 return Decision(noun.name, part, why, verb.text, sure=False)
         return None
 
@@ -384,54 +401,3 @@ def _actions_on(noun: Noun, verb: Verb) -> tuple[str, ...]:
 
 def _affords(thing: Thing, verb: Verb) -> bool:
     return any(thing.part_for(action) for action in verb.actions)
-
-
-def _noun(thing: Thing) -> Noun:
-    return Noun(thing.name, 0, 0, thing=thing)
-
-
-def _decision(noun: Noun, part: Part, action: str, why: str) -> Decision:
-    return Decision(noun.name, part.name, why, action)
-
-
-def _held(noun: Noun, part: Part) -> Decision:
-    return _decision(noun, part, "grasp", f"Hold the {noun.name} by {_its(noun)} {part.name}.")
-
-
-def _used_for(verb: Verb, noun: Noun, part: Part) -> str:
-    """Why this part, in the speaker's own verb."""
-    if noun.role == "object" and noun.start == verb.end:
-        return f"To {verb.base} the {noun.name}, use {_its(noun)} {part.name}."
-    return f"To {verb.base}, use the {part.name} of the {noun.name}."
-
-
-def _its(noun: Noun) -> str:
-    return "their" if _is_plural(noun.text) else "its"
-
-
-def _is_plural(name: str) -> bool:
-    return name.endswith("s") and not name.endswith(("ss", "us"))
-
-
-def _a(name: str) -> str:
-    """A name with its article: "an iron", "a pair of scissors", "headphones"."""
-    if _is_plural(name):
-        return f"a pair of {name}" if name in _PAIRS else name
-    return f"{'an' if name[0] in 'aeiou' else 'a'} {name}"
-
-
-_PAIRS = frozenset(
-    ["scissors", "pliers", "shears", "tweezers", "tongs", "chopsticks", "glasses", "headphones", "binoculars"]
-)
-
-
-def _listed(names: Sequence[str]) -> str:
-    named = [_a(name) for name in dict.fromkeys(names)][:3]
-    return named[0] if len(named) == 1 else f"{', '.join(named[:-1])} and {named[-1]}"
-
-
-def _refused(instruction: str, why: str = "") -> Decision:
-    shown = " ".join(instruction.split())
-    shown = shown if len(shown) <= 80 else shown[:77] + "..."
-    reason = why or f"I do not know which part of which thing is meant by {shown!r}."
-    return Decision(None, None, f"{reason} {EXAMPLES}")

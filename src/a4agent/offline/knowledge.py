@@ -125,6 +125,7 @@ class Knowledge:
     untouchable: frozenset[tuple[str, ...]]
     written: frozenset[str]
     first_part_names: frozenset[str]
+    nouns: frozenset[tuple[str, ...]]
     base_form: Mapping[tuple[str, ...], str]
 
     def object_named(self, name: str) -> Thing | None:
@@ -179,11 +180,14 @@ def knowledge() -> Knowledge:
                     defaults.setdefault(action, []).append(thing.name)
                 else:
                     themes.setdefault(stem(name), []).append((action, thing.name))
-    spoken = [
+    spoken_names = [
         *(name for thing in objects.values() for name in (thing.name, *thing.also)),
+        *(theme for thing in objects.values() for names in thing.uses.values() for theme in names),
+    ]
+    spoken = [
+        *spoken_names,
         *part_names,
         *(verb for action, verbs in table["actions"].items() for verb in (action, *verbs)),
-        *(theme for thing in objects.values() for names in thing.uses.values() for theme in names),
     ]
     unknown = dict(table["unknown"])
     untouchable = frozenset(stem(name) for name in unknown.pop("untouchable"))
@@ -199,6 +203,9 @@ def knowledge() -> Knowledge:
         usual_part={stem(verb): part for part, verbs in unknown.items() for verb in verbs},
         untouchable=untouchable,
         base_form={stem(verb): verb for action, verbs in table["actions"].items() for verb in (action, *verbs)},
+        nouns=frozenset(
+            tuple(words(name + ending)) for name in [*spoken_names, *part_names] for ending in ("", "s", "es")
+        ),
         first_part_names=frozenset(part.name for thing in objects.values() for part in thing.parts),
         written=frozenset(word for phrase in spoken for word in words(phrase)),
     )

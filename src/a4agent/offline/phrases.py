@@ -109,7 +109,8 @@ def wanted(phrase: str) -> Wanted:
         owner = _PLACE.split(spoken[2])[0]  # of "the drawer below the counter" it is the drawer
         named = know.find_objects(words(owner)) or objects
         thing = know.object_named(owner) or (named[-1].value if named else None)
-        of_part = {f"part_{name}": value for name, value in _qualifiers(words(spoken[1])).items() if name != "size"}
+        said_of_part = [] if thing and thing.part_named(spoken[1]) else words(spoken[1])
+        of_part = {f"part_{name}": value for name, value in _qualifiers(said_of_part).items() if name != "size"}
         return replace(_part(spoken[1], thing), **_qualifiers(words(owner), thing), **of_part)
     content = [word for word in said if word not in {"the", "a", "an", "this", "that", "my"}]
     plain = [word for word in content if word not in QUALIFIERS]

@@ -15,8 +15,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from a4agent.errors import A4Error, RefusedAnswer, UnreadableAnswer
-from a4agent.offline.decisions import Decision, decide
+from a4agent.offline.decisions import decide
 from a4agent.offline.revision import revision
+from a4agent.offline.wording import Decision
 from a4agent.protocols import ChatAnswer, ChatRequest, ExpertBase
 
 if TYPE_CHECKING:

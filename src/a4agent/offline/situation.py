@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from a4agent.offline.knowledge import Knowledge, Part, Thing, stem
-from a4agent.offline.language import Noun, Reading, Verb
+from a4agent.offline.language import Reading, Verb
+from a4agent.offline.noun_phrases import Noun
 
 BY_HAND = frozenset(["activate", "adjust", "close", "fasten", "grasp", "open", "press", "pull", "push", "turn", "hang"])
 INSTEAD = {

@@ -64,7 +64,8 @@ def _nouns() -> tuple[str, ...]:
 def _word(word: str, noun: bool) -> str:
     stems, vocabulary = _known()
     stemmed = stem(word)
-    if len(word) < 3 or not stemmed or stemmed[0] in stems or word.endswith("ly"):
+    known = stemmed and stemmed[0] in stems and (word != stemmed[0] or word in vocabulary or len(word) > 5)
+    if len(word) < 3 or not stemmed or known or word.endswith("ly"):
         return word
     if "-" in word or "'" in word:
         joined = word.replace("-", "")
@@ -78,19 +79,26 @@ def _word(word: str, noun: bool) -> str:
 def _nearest(word: str, vocabulary: Iterable[str]) -> str | None:
     """The nearest known word that a slip of the fingers explains, None if there is none."""
     rapidfuzz = require("rapidfuzz", extra="offline")
-    allowed = 1 if len(word) < 8 else 2
     found = rapidfuzz.process.extract(
-        word, vocabulary, scorer=rapidfuzz.distance.OSA.distance, score_cutoff=allowed, limit=12
+        word, vocabulary, scorer=rapidfuzz.distance.OSA.distance, score_cutoff=2, limit=40
     )
-    likely = [(distance, *_unlikelihood(word, other), other) for other, distance, _ in found if _possible(word, other)]
+    likely = [
+        (distance, *_unlikelihood(word, other), other)
+        for other, distance, _ in found
+        if _possible(word, other, distance)
+    ]
     return min(likely)[-1] if likely else None
 
 
 _VOWELS = frozenset("aeiouy")
 
 
-def _possible(word: str, other: str) -> bool:
+def _possible(word: str, other: str, distance: float) -> bool:
     """Whether one may be typed for the other: the first letter is rarely wrong, and short words differ by more."""
+    if distance > 1 and len(word) < 8 and (len(word) < 5 or sorted(_squeezed(word)) != sorted(_squeezed(other))):
+        return False
+    if other[1:] == word and other[0] in "kwhg" and len(word) > 3:
+        return True  # "nife", "rench"
     if len(other) < 3 or (word[0] != other[0] and sorted(word[:2]) != sorted(other[:2])):
         return False
     if abs(len(word) - len(other)) > 1 and (word.startswith(other) or other.startswith(word)):
@@ -100,6 +108,11 @@ def _possible(word: str, other: str) -> bool:
     return len(word) > 4 or _slip(word, other) < 3
 
 
+def _squeezed(word: str) -> str:
+    """A word without doubled letters."""
+    return re.sub(r"(.)\1+", r"\1", word)
+
+
 def _slip(word: str, other: str) -> int:
     """How unlikely a slip is: swapped letters, a doubled letter or wrong vowel, a missing, an added, a wrong letter."""
     if sorted(word) == sorted(other):
@@ -107,7 +120,7 @@ def _slip(word: str, other: str) -> int:
     if len(word) == len(other):
         wrong = {letter for pair in zip(word, other, strict=True) if pair[0] != pair[1] for letter in pair}
         return 1 if wrong <= _VOWELS else 4
-    if re.sub(r"(.)\1+", r"\1", word) == re.sub(r"(.)\1+", r"\1", other):
+    if _squeezed(word) == _squeezed(other):
         return 1
     return 2 if len(other) > len(word) else 3
 

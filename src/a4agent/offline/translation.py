@@ -63,10 +63,9 @@ def in_english(text: str) -> str | None:
 
 def _without_accents(text: str) -> str:
     """ "öffne" -> "offne", "d'eau" -> "de eau"."""
-    decomposed = unicodedata.normalize("NFKD", text.replace("ß", "ss"))
-    return re.sub(
-        r"\b([dlsjn]|qu)'(?=[a-z]{2})", r"\1e ", "".join(c for c in decomposed if not unicodedata.combining(c))
-    )
+    split = re.sub(r"-(moi|toi|tu|vous|le|la|les|nous)\b", r" \1", text.replace("ß", "ss"))
+    letters = "".join(c for c in unicodedata.normalize("NFKD", split) if not unicodedata.combining(c))
+    return re.sub(r"\b([dlsjn]|qu)'(?=[a-z]{2})", r"\1e ", letters)
 
 
 def _is_english(word: str) -> bool:
