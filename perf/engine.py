@@ -127,6 +127,24 @@ def cache(samples: int, scale: float) -> None:
         print(f"  together {made} calls made, {saved} saved")
 
 
+def once(samples: int) -> None:
+    """How often the pixels of a picture are hashed: for every key of the cache, or once."""
+    from unittest.mock import patch
+
+    from a4agent.imaging import load
+
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        patch("a4agent.engine.cache.image_hash", side_effect=load.image_hash) as wanted,
+        patch.object(load, "_hash_pixels", side_effect=load._hash_pixels) as hashed,  # pyright: ignore[reportPrivateUsage]
+    ):
+        run(scripted_agent(dream=True), samples, EngineSettings(cache="write", cache_dir=Path(folder)))
+    print(
+        f"  {wanted.call_count} hashes wanted for the keys of {samples} samples, {hashed.call_count} computed", end=""
+    )
+    print(f": {hashed.call_count / wanted.call_count:.2f} of the work")
+
+
 PLUGIN = """
 from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedSegmenter, ScriptedVLM, output
 
@@ -230,6 +248,8 @@ def main() -> None:
     overlap(options.samples, options.scale)
     print("overhead: experts that take no time, 5,000 samples")
     overhead(5000)
+    print(f"once: {options.samples} samples, cache on")
+    once(options.samples)
     print(f"cache: {options.samples} samples, stage times / {4 * options.scale:g}")
     cache(options.samples, 4 * options.scale)
 
