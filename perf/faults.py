@@ -47,12 +47,12 @@ def create(model, role, *, seconds=0.0):
     died = pathlib.Path(os.environ["A4FAULTS"]) / model
     answer, calls = expert._answer, []
 
-    def dies_once(requests):
+    def dies_once(*arguments):
         calls.append(1)
         if len(calls) == 5 and not died.exists():
             died.touch()
             os.kill(os.getpid(), signal.SIGKILL)
-        return answer(requests)
+        return answer(*arguments)
 
     expert._answer = dies_once
     return expert
@@ -215,9 +215,9 @@ def two_runs(place: Workplace) -> Outcome:
 
 
 def few_handles(place: Workplace) -> Outcome:
-    """A limit of open files from what Python itself needs upwards."""
+    """A limit of open files, from what the interpreter needs to import a module upwards."""
     outcome = Outcome()
-    for limit in range(4, 40, 2):
+    for limit in range(8, 40):
         run = place.new_run()
 
         def prepare(limit: int = limit) -> None:

@@ -9,7 +9,7 @@
     │   ├── CredentialError       a key is missing, or the provider refuses it
     │   ├── ModelFilesError       a checkpoint that is not there, not complete or not a checkpoint
     │   ├── DataError             a dataset, predictions or run folder that cannot be read
-    │   └── ResourceError         the model does not fit this machine, whatever the batch
+    │   └── ResourceError         this machine lacks memory, file handles or a renderer
     ├── AnswerError               a model answered, and the answer cannot be used
     │   ├── UnreadableAnswer      not in the form that was asked for
     │   ├── TruncatedAnswer       cut off by the token limit
@@ -98,7 +98,7 @@ class DataError(UserError):
 
 
 class ResourceError(UserError):
-    """The model does not fit this machine."""
+    """This machine lacks what the work needs: memory, file handles, a renderer."""
 
     fatal = True
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import io
 import os
@@ -19,7 +20,7 @@ from hypothesis import strategies as st
 from PIL import Image, ImageOps
 
 import a4agent
-from a4agent.errors import InputError, MissingExtraError
+from a4agent.errors import InputError, MissingExtraError, ResourceError
 from a4agent.imaging import load
 from a4agent.imaging.load import find_images, image_hash, load_image, read_pixels
 
@@ -332,3 +333,21 @@ def test_heic_photographs() -> None:
     assert np.abs(np.asarray(image)[24, 32].astype(int) - (200, 30, 40)).max() < 12
     with pytest.raises(InputError, match=r"damaged|cannot be decoded|not an image"):
         load_image(HEIC)
+
+
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOMEM])
+def test_a_process_without_file_handles_does_not_blame_the_picture(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    PHOTO.save(tmp_path / "photo.png")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    for owner in (Image, Path):
+        with monkeypatch.context() as broken:
+            broken.setattr(owner, "open", refuse)
+            with pytest.raises(ResourceError, match="ulimit -n") as told:
+                load_image(tmp_path / "photo.png")
+            assert told.value.fatal
+    load_image(tmp_path / "photo.png")

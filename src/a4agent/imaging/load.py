@@ -6,6 +6,7 @@ read_pixels("mask.png")          -> the array as it is stored, without alpha: ma
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import os
@@ -19,7 +20,7 @@ from typing import IO, TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from a4agent.errors import A4Error, InputError, require
+from a4agent.errors import A4Error, InputError, ResourceError, require
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -35,6 +36,7 @@ FORMATS = ("JPEG", "PNG", "BMP", "GIF", "PPM", "WEBP", "TIFF", "AVIF")
 HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 ANSWER_PICTURES = ("mask.png", "overlay.png", "imagination.png")
 """What a saved answer may have beside its affordance.json."""
+EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 _TURN = threading.Lock()
 _HASHES: dict[int, tuple[weakref.ref[Image], str]] = {}
 
@@ -108,7 +110,7 @@ def _opened(
     except FileNotFoundError as error:
         raise InputError(f"no such image: {name}") from error
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: a loop of links
-        raise InputError(f"{name} cannot be read: {error}") from error
+        raise _unreadable(f"{name} cannot be read", error) from error
     with file, _explained(name), _identified(file, name, size, max_pixels) as image:
         yield image, name
 
@@ -165,9 +167,16 @@ def _explained(name: str) -> Generator[None, None, None]:
             f"{name} is not an image in a format that can be read (JPEG, PNG, WebP, AVIF, HEIC, BMP, TIFF, GIF, PPM)"
         ) from error
     except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError, KeyError) as error:
-        raise InputError(f"{name} is damaged or cut off: {error}") from error
+        raise _unreadable(f"{name} is damaged or cut off", error) from error
     except Exception as error:  # decoders raise struct.error, zlib.error and more of their own
         raise InputError(f"{name} cannot be decoded: {error!r}") from error
+
+
+def _unreadable(what: str, error: Exception) -> InputError | ResourceError:
+    """The picture is to blame, unless this process has used up what the system gives it."""
+    if isinstance(error, OSError) and error.errno in EXHAUSTED:
+        return ResourceError(f"no file can be opened ({error}); close other programs, or raise the limit (`ulimit -n`)")
+    return InputError(f"{what}: {error}")
 
 
 def _from_array(array: np.ndarray) -> Image:
