@@ -4,7 +4,8 @@
     python perf/mutants.py engine --sample 100   more of one room
     python perf/mutants.py --list metrics        every change that there is, without running one
 
-A change that no test fails for has survived: either something is untested, or the change makes no difference. A run that takes three times as long as the unchanged one counts as killed: the tests hang, and notice.
+A change that no test fails for has survived: either something is untested, or the change makes no difference. A run
+that takes three times as long as the unchanged one counts as killed: the tests hang, and notice.
 """
 
 from __future__ import annotations
