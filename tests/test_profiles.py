@@ -98,7 +98,8 @@ def test_a_baseline_grounds_the_instruction_itself(name):
     assert settings.dreamer is None
     assert settings.thinker is None
     assert settings.spotter.detector.expert == f"vlm-grounding:{name}"
-    assert experts(name)["spotter.segmenter"] == "sam2:large"
+    tuned = name in ("affordance-r1", "vision-reasoner", "seg-zero")  # whose code loads SAM 2.0
+    assert experts(name)["spotter.segmenter"] == ("sam2:facebook/sam2-hiera-large" if tuned else "sam2:large")
 
 
 def test_modern_needs_no_non_commercial_model():

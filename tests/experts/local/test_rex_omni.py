@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from a4agent.errors import ConfigError, ModelFilesError, TruncatedAnswer
+from a4agent.errors import ConfigError, ModelFilesError
 from a4agent.experts.local import rex_omni
 from a4agent.protocols import DetectRequest
 
@@ -50,12 +50,17 @@ def test_detection_and_pointing_share_one_batch_and_coordinates_follow_each_imag
     np.testing.assert_allclose(large.boxes_xyxy, small.boxes_xyxy * 2, rtol=1e-5)
 
 
-def test_an_answer_cut_off_is_an_error_of_that_request(taught_rex_omni, noise):
-    short = rex_omni.create(str(taught_rex_omni), "detector", max_new_tokens=30)
-    answer = short.detect([DetectRequest(noise(96, 64), PHRASE)])[0]
-    assert isinstance(answer, TruncatedAnswer)
-    assert "cut off after 30 tokens" in str(answer)
-    assert "max_new_tokens" in str(answer)
+@pytest.mark.parametrize("tokens", range(1, 31, 3))
+def test_an_answer_cut_off_keeps_its_complete_shapes(taught_rex_omni, detector, noise, tokens):
+    request = DetectRequest(noise(96, 64), PHRASE)
+    short = rex_omni.create(str(taught_rex_omni), "detector", max_new_tokens=tokens)
+    answer, whole = short.detect([request])[0], detector.detect([request])[0]
+    assert answer.cut_off
+    assert not whole.cut_off
+    count = len(answer.boxes_xyxy)
+    assert count <= len(whole.boxes_xyxy)
+    np.testing.assert_array_equal(answer.boxes_xyxy, whole.boxes_xyxy[:count])
+    np.testing.assert_array_equal(answer.points_xy, whole.points_xy[: len(answer.points_xy)])
 
 
 def test_the_authors_settings(detector):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from a4agent.errors import ConfigError, ProviderUnavailable, TruncatedAnswer, UnreadableAnswer
+from a4agent.errors import ConfigError, ProviderUnavailable, UnreadableAnswer
 from a4agent.experts import registry
 from a4agent.experts.rex_omni_answer import FIRST_COORDINATE_ID, SPECIAL_IDS
 from a4agent.protocols import DetectRequest
@@ -59,6 +59,7 @@ def test_both_questions_are_asked_as_it_was_trained(openai_server):
         assert [part["type"] for part in user["content"]] == ["image_url", "text"]
         assert (body["temperature"], body["top_p"], body["top_k"]) == (0.0, 0.05, 1)
         assert (body["repetition_penalty"], body["max_tokens"]) == (1.05, 4096)
+        assert body["mm_processor_kwargs"] == {"min_pixels": 12544, "max_pixels": 2007040}
         assert body["skip_special_tokens"] is False
         assert body["return_token_ids"] is True
     assert first["messages"][1]["content"][0] == second["messages"][1]["content"][0]  # the same image, byte for byte
@@ -96,12 +97,22 @@ def test_points_can_be_left_out(openai_server):
     assert len(found.points_xy) == 0
 
 
+@pytest.mark.parametrize("cut", range(1, 40, 3))
+def test_an_answer_cut_off_keeps_its_complete_boxes(openai_server, cut):
+    openai_server.replies(chat(BOXES[:-cut], finish_reason="length"))
+    found = detect(openai_server, points=False)
+    openai_server.replies(chat(BOXES))
+    whole = detect(openai_server, points=False)
+    assert found.cut_off
+    assert len(found.points_xy) == 0
+    assert found.boxes_xyxy.tolist() == whole.boxes_xyxy.tolist()[: len(found.boxes_xyxy)]
+
+
 @pytest.mark.parametrize(
     ("reply", "kind", "words"),
     [
         (chat("(0,0),(10,20)"), UnreadableAnswer, "tokenizer"),
-        (chat("", finish_reason="length"), TruncatedAnswer, "max_tokens"),
-        (chat(BOXES[:-12], finish_reason="length"), TruncatedAnswer, "max_tokens"),
+        (chat("", finish_reason="length"), UnreadableAnswer, "tokenizer"),
         (chat(["no text"], token_ids=["x"]), UnreadableAnswer, "tokenizer"),
         (chat(choices=[]), ProviderUnavailable, "choices"),
         (error(503, "loading"), ProviderUnavailable, "loading"),

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from a4agent.errors import A4Error, ConfigError, TruncatedAnswer
+from a4agent.errors import A4Error, ConfigError
 from a4agent.experts.local.base import QUANTISE, LocalExpert, Placement, Stopwatch, place
 from a4agent.experts.local.checkpoints import Checkpoint, find_checkpoint
 from a4agent.experts.local.generation import ChatModel, Generation, Turn
@@ -96,7 +96,7 @@ class RexOmni(LocalExpert):
         self._model: ChatModel | None = None
 
     def detect(self, requests: Sequence[DetectRequest]) -> list[Detection | A4Error]:
-        """Boxes and points, without scores; an answer cut off by the token limit is a `TruncatedAnswer`.
+        """Boxes and points, without scores. Of an answer cut off at the token limit, the complete ones are kept.
 
         Raises:
             ResourceError: the weights do not fit.
@@ -129,14 +129,9 @@ class RexOmni(LocalExpert):
 
     def _read(
         self, request: DetectRequest, pair: tuple[Generation, Generation], watch: Stopwatch, shared_by: int
-    ) -> Detection | A4Error:
+    ) -> Detection:
         assert self._model is not None
         text = "\n".join(self._model.decode(generation.ids, skip_special_tokens=False) for generation in pair)
-        if any(generation.finish_reason == "length" for generation in pair):
-            return TruncatedAnswer(
-                f"{self.id} was cut off after {self._max_new_tokens} tokens when asked for {request.phrase!r}; "
-                f"raise max_new_tokens, if it was not repeating itself: {text[:80]!r} ... {text[-80:]!r}"
-            )
         decode = self._model.decode
         boxes, _ = boxes_and_points(read_tokens(pair[0].ids, request.image.size, decode))
         _, points = boxes_and_points(read_tokens(pair[1].ids, request.image.size, decode))
@@ -144,6 +139,7 @@ class RexOmni(LocalExpert):
             boxes_xyxy=boxes,
             points_xy=points,
             text=text,
+            cut_off=any(generation.finish_reason == "length" for generation in pair),
             usage=watch.usage(
                 shared_by,
                 tokens_in=sum(generation.tokens_in for generation in pair),

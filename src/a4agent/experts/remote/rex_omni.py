@@ -5,7 +5,8 @@
 Serve a folder whose tokenizer was repaired (the coordinate tokens belong at ids 150643 to 151642), with room
 for 2560 image tokens and 4096 new ones:
 
-    vllm serve FOLDER --served-model-name IDEA-Research/Rex-Omni --max-model-len 8192
+    vllm serve FOLDER --served-model-name IDEA-Research/Rex-Omni --max-model-len 8192 \\
+        --mm-processor-kwargs '{"min_pixels": 12544, "max_pixels": 2007040}'
 
 Boxes and points are two questions about one image, sent one after the other: the server reuses the image.
 Answers are read from token ids where the server returns them (vLLM), else from the text.
@@ -16,11 +17,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from a4agent.errors import A4Error, ConfigError, TruncatedAnswer, UnreadableAnswer
+from a4agent.errors import A4Error, ConfigError, UnreadableAnswer
 from a4agent.experts.remote.base import RemoteExpert, text_of
 from a4agent.experts.remote.connection import Connection, Sent
 from a4agent.experts.rex_omni_answer import (
     MAX_NEW_TOKENS,
+    MAX_PIXELS,
+    MIN_PIXELS,
     REPETITION_PENALTY,
     SPECIAL_IDS,
     SYSTEM,
@@ -43,6 +46,8 @@ _EXTRA = {
     "return_token_ids": True,
     "top_k": 1,
     "repetition_penalty": REPETITION_PENALTY,
+    # Without these, a picture of 2048 x 2048 takes 5,300 tokens of the 8,192.
+    "mm_processor_kwargs": {"min_pixels": MIN_PIXELS, "max_pixels": MAX_PIXELS},
 }
 _BOX = "<|box_start|>"
 _COMMA_ID = 11  # "," in the vocabulary of Qwen2.5
@@ -132,16 +137,17 @@ class RexOmniServer(RemoteExpert):
             questions.append(pointing_prompt(request.phrase))
         shapes: list[Shape] = []
         texts: list[str] = []
-        usage = Usage(attempts=0)
-        for question in questions:
-            read, text, spent = self._ask(request.image, question)
-            shapes.extend(read)
+        usage, cut_off = Usage(attempts=0), False
+        for question, kinds in zip(questions, (("box", "polygon"), ("point",)), strict=False):
+            read, text, spent, ended_early = self._ask(request.image, question)
+            # A box that was cut off after two numbers reads as a point, so an answer gives what it was asked for.
+            shapes.extend(shape for shape in read if not ended_early or shape[1] in kinds)
             texts.append(text)
-            usage = _sum(usage, spent)
+            usage, cut_off = _sum(usage, spent), cut_off or ended_early
         boxes, points = boxes_and_points(shapes)
-        return Detection(boxes_xyxy=boxes, points_xy=points, text="\n".join(texts), usage=usage)
+        return Detection(boxes_xyxy=boxes, points_xy=points, text="\n".join(texts), cut_off=cut_off, usage=usage)
 
-    def _ask(self, image: Image, question: str) -> tuple[list[Shape], str, Usage]:
+    def _ask(self, image: Image, question: str) -> tuple[list[Shape], str, Usage, bool]:
         content = [
             {"type": "image_url", "image_url": {"url": self._encoder.data_url(image)}},
             {"type": "text", "text": question},
@@ -158,14 +164,10 @@ class RexOmniServer(RemoteExpert):
         )
         return self._read(completion, sent, image.size)
 
-    def _read(self, completion: Any, sent: Sent, size_wh: tuple[int, int]) -> tuple[list[Shape], str, Usage]:
+    def _read(self, completion: Any, sent: Sent, size_wh: tuple[int, int]) -> tuple[list[Shape], str, Usage, bool]:
+        """The shapes, the text, what it took, and whether it ended at the token limit."""
         choice = self._first_choice(completion)
         text = text_of(choice.message.content)
-        if choice.finish_reason == "length":
-            raise TruncatedAnswer(
-                f"{self._connection} was cut off after {self._max_tokens} tokens; raise the detector's setting "
-                f"max_tokens, if it was not repeating itself: {text[:80]!r} ... {text[-80:]!r}"
-            )
         found: Any = getattr(choice, "token_ids", None)
         ids: list[int] = found if isinstance(found, list) and all(isinstance(token, int) for token in found) else []
         if SPECIAL_IDS[_BOX] in ids:
@@ -177,7 +179,7 @@ class RexOmniServer(RemoteExpert):
                 f"{self._connection} sent no {_BOX}, but {text[:200]!r}: it must keep special tokens and be served "
                 "from a folder with the repaired tokenizer"
             )
-        return shapes, text, self._usage(completion, sent)
+        return shapes, text, self._usage(completion, sent), choice.finish_reason == "length"
 
 
 def _commas(ids: list[int]) -> str:
