@@ -204,7 +204,9 @@ def knowledge() -> Knowledge:
         untouchable=untouchable,
         base_form={stem(verb): verb for action, verbs in table["actions"].items() for verb in (action, *verbs)},
         nouns=frozenset(
-            tuple(words(name + ending)) for name in [*spoken_names, *part_names] for ending in ("", "s", "es")
+            (*name[:-1], name[-1] + ending)
+            for name in {tuple(words(name)) for name in [*spoken_names, *part_names]} - {("*",), ()}
+            for ending in ("", "s", "es")
         ),
         first_part_names=frozenset(part.name for thing in objects.values() for part in thing.parts),
         written=frozenset(word for phrase in spoken for word in words(phrase)),
@@ -233,9 +235,14 @@ def _part(name: str, row: Mapping[str, Any]) -> Part:
     return Part(name, row["shape"], tuple(row["affords"]), tuple(row.get("also", ())), row.get("map"))
 
 
+_WORDS = re.compile(r"[a-z0-9]+(?:[-'][a-z0-9]+)*")
+
+
 def words(text: str) -> list[str]:
     """The words of a text, lower case, without punctuation."""
-    return re.findall(r"[a-z0-9]+(?:[-'][a-z0-9]+)*", text.lower().replace("’", "'"))
+    if text.isascii() and text.islower() and text.replace(" ", "").isalpha():  # most names: no need to search
+        return text.split()
+    return _WORDS.findall(text.lower().replace("’", "'"))
 
 
 def stem(phrase: str | Iterable[str]) -> tuple[str, ...]:

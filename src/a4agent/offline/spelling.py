@@ -10,16 +10,17 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from functools import lru_cache
+from importlib.resources import files
 
 from a4agent.errors import require
-from a4agent.files import read_package_toml
 from a4agent.offline.knowledge import QUALIFIERS, knowledge, stem
 
 
 @lru_cache(maxsize=1)
 def common_words() -> frozenset[str]:
     """Everyday words that are spelt right although the knowledge base does not need them."""
-    return frozenset(read_package_toml("a4agent.offline", "languages.toml")["english"]["words"].split())
+    text = files("a4agent.offline").joinpath("common_words.txt").read_text(encoding="utf-8")
+    return frozenset(text.split())
 
 
 @lru_cache(maxsize=1)

@@ -35,8 +35,7 @@ def _languages() -> tuple[_Language, ...]:
             tuple((pattern, english) for pattern, english in row["frames"]),
             {tuple(word.split()): english for word, english in row["words"].items()},
         )
-        for name, row in table.items()
-        if name != "english"
+        for row in table.values()
     )
 
 
