@@ -47,7 +47,7 @@ def main() -> None:
     with A4Agent.from_profile(arguments.profile) as agent:
         asked = [ask(agent, sample, None) for sample in samples]
         print(line(f"`{arguments.profile}`", asked))
-        told = [ask(agent, sample, given_of(sample, "detector")) for sample in samples]
+        told = [ask(agent, sample, given_of(sample, "detector", sample.truth.mask())) for sample in samples]
         print(line(f"`{arguments.profile}`'s segmenter, told the boxes", told))
 
     print("\n| tag | value | samples | gIoU | P@50 |\n|---|---|---|---|---|")

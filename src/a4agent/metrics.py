@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from a4agent.errors import DataError, UnknownNameError
+from a4agent.imaging.masks import deepest_point
 from a4agent.types import Status
 
 MEASURES = {"giou": "gIoU", "ciou": "cIoU", "p50": "P@50", "p50_95": "P@50:95"}
@@ -164,15 +165,30 @@ def measure(
 ) -> Row:
     """The row of one sample. No prediction, or a failed status, gives I = 0 and U = the truth's area.
 
-    `alternatives` are masks that are as right as `truth_mask`: the one with the best IoU counts. Which it is
-    depends on the prediction, so `truth_pixels` is then None.
+    `alternatives` are masks that are as right as `truth_mask`: the one with the best IoU counts.
 
     Raises:
         DataError: a mask is not (H, W).
     """
-    if alternatives:
-        rows = [measure(prediction_mask, mask, status) for mask in (truth_mask, *alternatives)]
-        return max(rows, key=lambda row: row.intersection / max(row.union, 1))._replace(truth_pixels=None)
+    return measure_best(prediction_mask, (truth_mask, *alternatives), status)[0]
+
+
+def measure_best(
+    prediction_mask: np.ndarray | None, truth_masks: Sequence[np.ndarray], status: Status = "ok"
+) -> tuple[Row, int]:
+    """The row of one sample against the best of its equally right masks, and that mask's position.
+
+    Which mask is best depends on the prediction, so `truth_pixels` is None where there are several.
+
+    Raises:
+        DataError: a mask is not (H, W).
+    """
+    rows = [_measure(prediction_mask, mask, status) for mask in truth_masks]
+    best = max(range(len(rows)), key=lambda i: rows[i].intersection / max(rows[i].union, 1))
+    return (rows[best] if len(rows) == 1 else rows[best]._replace(truth_pixels=None)), best
+
+
+def _measure(prediction_mask: np.ndarray | None, truth_mask: np.ndarray, status: Status) -> Row:
     truth = _binary(truth_mask, "truth")
     truth_pixels = int(np.count_nonzero(truth))
     if prediction_mask is None or status in ("invalid", "error"):
@@ -185,6 +201,21 @@ def measure(
     prediction_pixels = int(np.count_nonzero(prediction))
     both = int(np.count_nonzero(prediction & truth))
     return Row(both, prediction_pixels + truth_pixels - both, status, truth_pixels, prediction_pixels, resized)
+
+
+def contact_hit(prediction_mask: np.ndarray | None, truth_masks: Sequence[np.ndarray]) -> float | None:
+    """1 if the prediction's contact point lies in one of the right masks, else 0; None if all of those are blank.
+
+    The contact point is the centre of the pixel farthest from the mask's border: where a robot would touch. A missing
+    or blank prediction is a miss.
+    """
+    if not any(mask.any() for mask in truth_masks):
+        return None
+    point = None if prediction_mask is None else deepest_point(prediction_mask)
+    if prediction_mask is None or point is None:
+        return 0.0
+    x, y = (point / prediction_mask.shape[::-1]).tolist()
+    return float(any(mask[int(y * mask.shape[0]), int(x * mask.shape[1])] for mask in truth_masks))
 
 
 def nearest_neighbour(mask: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -304,11 +335,11 @@ def _table(rows: Sequence[Row], rule: Protocol) -> tuple[np.ndarray, np.ndarray]
         raise DataError(f"row {impossible[0]} cannot be: I and U are {rows[impossible[0]][:2]}, but 0 <= I <= U")
     failed = np.array([row.failed for row in rows], bool)
     blank = (either == 0) & ~failed
-    both_empty = np.nan if rule.both_empty is None else rule.both_empty
+    both_empty = rule.both_empty or 0.0
     ious = np.where(blank, both_empty, shared / np.maximum(either + rule.iou_epsilon, 1e-300))
     passed = 100 * shared > THRESHOLDS[:, None] * either
     passed = np.where(blank, 100 * both_empty > THRESHOLDS[:, None], passed)
-    kept = ~(blank & (rule.both_empty is None))
+    kept = ~blank if rule.both_empty is None else np.ones(len(rows), bool)
     if rule.drops_errors:
         kept &= np.array([row.status != "error" for row in rows], bool)
     return np.stack([ious, passed[0], passed.sum(0), shared, either]).astype(np.float64), kept
@@ -317,17 +348,13 @@ def _table(rows: Sequence[Row], rule: Protocol) -> tuple[np.ndarray, np.ndarray]
 def _measures(sums: np.ndarray, n: int, rule: Protocol) -> np.ndarray:
     """From sums over n samples of a table's lines, (k, 5), to gIoU, cIoU, P@50 and P@50:95, (k, 4)."""
     iou, above_half, passed, shared, either = sums.T
-    undefined = 0.0 if rule.thresholds else np.nan
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.stack(
-            [
-                iou / n,
-                shared / (either + rule.ciou_epsilon),
-                above_half / n + undefined,
-                passed / (n * len(THRESHOLDS)) + undefined,
-            ],
-            axis=1,
+        measures = np.stack(
+            [iou / n, shared / (either + rule.ciou_epsilon), above_half / n, passed / (n * len(THRESHOLDS))], axis=1
         )
+    if not rule.thresholds:
+        measures[:, 2:] = np.nan
+    return measures
 
 
 def _scores(
@@ -335,8 +362,8 @@ def _scores(
 ) -> Scores:
     n = table.shape[1]
     # math.fsum is exact, so a run that was resumed in another order has the same scores to the last bit.
-    sums = np.array([[math.fsum(line) for line in table]]) if n else np.full((1, 5), np.nan)
-    giou, ciou, p50, p50_95 = (float(value) for value in _measures(sums, max(n, 1), rule)[0])
+    sums = np.array([[math.fsum(line) for line in table]])
+    giou, ciou, p50, p50_95 = _measures(sums, n, rule)[0].tolist() if n else [math.nan] * 4
     return Scores(
         protocol=rule.name,
         giou=giou,
@@ -357,7 +384,7 @@ def _resample(table: np.ndarray, resamples: int, seed: int) -> np.ndarray:
     """Sums of a table's lines over samples drawn with replacement, (resamples, lines)."""
     lines, n = table.shape
     if not n or not resamples:
-        return np.full((0, lines), np.nan)
+        return np.empty((0, lines))
     table = np.ascontiguousarray(table[:, np.lexsort(table)])
     generator = np.random.default_rng(seed)
     return np.stack([table[:, generator.integers(0, n, n)].sum(axis=1) for _ in range(resamples)])

@@ -13,8 +13,8 @@ from rich.console import Console
 
 import killable
 import pictures
-from a4agent.cli import bench_progress
-from a4agent.cli.bench_progress import words
+from a4agent.cli import bench
+from a4agent.cli.bench import words
 from a4agent.cli.main import main
 from a4agent.experts import registry
 from a4agent.metrics import Row
@@ -218,12 +218,12 @@ def test_a_sample_that_takes_too_long_is_an_error_of_its_own(a4: Type) -> None:
 
 def test_the_live_line_fits_eighty_columns(monkeypatch: pytest.MonkeyPatch) -> None:
     console = Console(file=io.StringIO(), force_terminal=True, width=80, color_system=None)
-    monkeypatch.setattr(bench_progress, "messages", console)
+    monkeypatch.setattr(bench, "messages", console)
     progress = Progress(planned=2000, to_ask=2000)
     for number in range(1203):
         progress.count(Row(60, 100) if number % 10 else Row(0, 50, "error"), "strict")
     progress.asked, progress.cost = 1203, 112.37
-    display = bench_progress.Display("ragnet-handal-easy, paper-open-without-dreamer", progress)
+    display = bench.Display("ragnet-handal-easy, paper-open-without-dreamer", progress)
     display.update(progress)
     assert display._bar is not None
     console.print(display._bar.get_renderable())
@@ -250,8 +250,8 @@ def test_the_live_line_of_a_retry_does_not_begin_at_its_end(monkeypatch: pytest.
     assert progress.left == 20
     assert words(progress, 9.0) == "gIoU 60.0, 1 failed, 1.0/s, 0:00:20 left"
     console = Console(file=io.StringIO(), force_terminal=True, width=80, color_system=None)
-    monkeypatch.setattr(bench_progress, "messages", console)
-    display = bench_progress.Display("folder, offline", progress)
+    monkeypatch.setattr(bench, "messages", console)
+    display = bench.Display("folder, offline", progress)
     assert display._bar is not None
     console.print(display._bar.get_renderable())
     assert "20/40" in console.file.getvalue()

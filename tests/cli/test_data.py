@@ -48,7 +48,7 @@ def test_json_holds_every_problem(tmp_path: Path, capsys: pytest.CaptureFixture[
     for file in data.rglob("*_rgb.jpg"):
         file.write_bytes(b"broken")
 
-    assert a4("data", "check", "umd", data, "--rule", "affordance-r1", "--json") == 1
+    assert a4("data", "check", "umd", data, "--option", "rule=affordance-r1", "--json") == 1
 
     found = json.loads(capsys.readouterr().out)
     assert len(found["problems"]) == 12

@@ -62,9 +62,11 @@ def test_the_prompts_are_those_that_are_used() -> None:
 
 
 def test_the_hash_names_the_configuration_and_not_its_circumstances() -> None:
-    one = Manifest({"benchmark": "umd", "settings": {"x": 1, "y": 2}}, {"profile": "paper"})
-    assert one.hash == Manifest({"settings": {"y": 2, "x": 1}, "benchmark": "umd"}).with_session().hash
-    assert one.hash != Manifest({"benchmark": "umd", "settings": {"x": 1, "y": 3}}).hash
+    selection = {"limit": None, "shuffle": None, "samples": 3}
+    identity = {"benchmark": "umd", "protocol": "strict", "oracle": None, "selection": selection}
+    one = Manifest({**identity, "settings": {"x": 1, "y": 2}}, {"profile": "paper"})
+    assert one.hash == Manifest({"settings": {"y": 2, "x": 1}, **identity}).with_session().hash
+    assert one.hash != Manifest({**identity, "settings": {"x": 1, "y": 3}}).hash
     again = Manifest.from_json(one.with_session().to_json(), "manifest.json")
     assert again.hash == one.hash
     assert "numpy" in again.sessions[0]["versions"]
@@ -102,7 +104,19 @@ def test_only_a_checkout_of_this_code_is_told(tmp_path: Path) -> None:
     assert git_state(tmp_path) is None
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"schema": 1}', '{"schema": 2, "identity": {}}'])
-def test_what_is_no_manifest_is_refused(text: str) -> None:
-    with pytest.raises(DataError, match="manifest"):
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (b"", "Expecting value"),
+        (b"[]", "should be a valid dictionary"),
+        (b"\x89PNG\r\n", "can't decode byte"),
+        (b"[" * 100_000, "recursion"),
+        (b'{"schema": 99, "identity": {}, "about": {}, "sessions": []}', "schema 99; this version reads 1"),
+        (b'{"schema": 1, "identity": {}, "about": {}, "sessions": []}', "identity.benchmark: Field required"),
+    ],
+)
+def test_a_damaged_manifest_is_one_line(text: bytes, reason: str) -> None:
+    with pytest.raises(DataError, match=reason) as raised:
         Manifest.from_json(text, "run/manifest.json")
+    assert "run/manifest.json" in str(raised.value)
+    assert "\n" not in str(raised.value)

@@ -51,14 +51,14 @@ def test_every_point_is_in_the_mask_and_every_box_has_it(bits: list[int], width:
 
 def test_each_oracle_gives_its_stage_and_those_before(data: Path) -> None:
     sample = registry.load("folder", data)[3]
-    thinker = given_of(sample, "thinker")
+    thinker = given_of(sample, "thinker", sample.truth.mask())
     assert thinker.target is not None
     assert thinker.target.object_part == "the red part of the board"
     assert thinker.detection is None
-    detector = given_of(sample, "detector")
+    detector = given_of(sample, "detector", sample.truth.mask())
     assert detector.detection is not None
     assert detector.regions is None
-    segmenter = given_of(sample, "segmenter")
+    segmenter = given_of(sample, "segmenter", sample.truth.mask())
     assert segmenter.regions is not None
     assert np.array_equal(segmenter.regions[0].mask, sample.truth.mask())
 
@@ -66,7 +66,7 @@ def test_each_oracle_gives_its_stage_and_those_before(data: Path) -> None:
 def test_a_truth_of_another_size_is_brought_to_the_pictures(data: Path) -> None:
     sample = registry.load("folder", data)[3]
     small = Sample(sample.query, replace(sample.truth, load_mask=lambda: sample.truth.mask()[::2, ::2]))
-    given = given_of(small, "segmenter")
+    given = given_of(small, "segmenter", small.truth.mask())
     assert given.regions is not None
     assert given.regions[0].mask.shape == (pictures.HEIGHT, pictures.WIDTH)
 
@@ -75,8 +75,8 @@ def test_a_dataset_without_parts_cannot_replace_the_thinker(data: Path) -> None:
     sample = registry.load("folder", data)[3]
     unnamed = Sample(sample.query, replace(sample.truth, object_part=""))
     with pytest.raises(DataError, match="--oracle detector"):
-        given_of(unnamed, "thinker")
-    assert given_of(unnamed, "detector").detection is not None
+        given_of(unnamed, "thinker", unnamed.truth.mask())
+    assert given_of(unnamed, "detector", unnamed.truth.mask()).detection is not None
 
 
 def test_an_unknown_oracle_suggests_the_nearest() -> None:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import errno
 import json
 import os
+import subprocess
+import sys
 import uuid
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -17,16 +20,23 @@ from PIL import Image
 
 from a4agent import metrics
 from a4agent.errors import ConfigError, DataError
+from a4agent.imaging.masks import encode_rle
+from a4agent.runs import store
 from a4agent.runs.manifest import Manifest
-from a4agent.runs.store import Record, RunWriter, read_run, write_atomically
+from a4agent.runs.store import Record, RunWriter, hold, read_run, write_atomically
+from a4agent.types import Affordance, Status
 
 
 def manifest(**identity: object) -> Manifest:
-    return Manifest({"benchmark": "folder", "selection": {"samples": 3}, **identity}, {"profile": "offline"})
+    selection = {"limit": None, "shuffle": None, "samples": 3}
+    plain = {"benchmark": "folder", "protocol": "strict", "oracle": None, "selection": selection}
+    return Manifest({**plain, **identity}, {"profile": "offline"})
 
 
 def row(id: str, status: str = "ok", intersection: int = 3) -> dict[str, object]:
-    return {"id": id, "status": status, "intersection": intersection, "union": 4, "trace": [], "note": "ä\u2028\n"}
+    mask = encode_rle(np.ones((2, 2), bool))
+    scored = {"intersection": intersection, "union": 4, "truth": mask, "note": "ä\u2028\n"}
+    return {**Affordance("touch", (2, 2), id=id, status=cast(Status, status)).to_dict(), "mask": mask, **scored}
 
 
 def test_a_run_is_written_and_read_back(tmp_path: Path) -> None:
@@ -221,3 +231,41 @@ def test_a_file_that_cannot_be_opened_says_so(tmp_path: Path, monkeypatch: pytes
     monkeypatch.undo()
     with RunWriter(tmp_path / "run", manifest()) as run:
         assert list(run.records) == ["a"], "the lock is free again"
+
+
+def test_a_lock_is_held_by_one_and_free_again_afterwards(tmp_path: Path) -> None:
+    path = tmp_path / "lock"
+    with hold(path), pytest.raises(DataError, match="is being written by process"), hold(path):
+        pass
+    with hold(path):
+        pass
+
+
+def test_a_file_system_without_locks_is_not_blamed_on_another_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: int) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(store, "_lock", refuse)
+    with pytest.raises(OSError, match="No locks available"), hold(tmp_path / "lock"):
+        pass
+
+
+def test_a_killed_holder_holds_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "lock"
+    code = "\n".join(
+        [
+            "import pathlib, sys",
+            "from a4agent.runs.store import hold",
+            "with hold(pathlib.Path(sys.argv[1])): print(1, flush=True); sys.stdin.read()",
+        ]
+    )
+    with subprocess.Popen([sys.executable, "-c", code, str(path)], stdin=-1, stdout=-1) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline().strip() == b"1"
+        with pytest.raises(DataError, match=f"process {other.pid}"), hold(path):
+            pass
+        other.kill()
+    with hold(path):
+        assert str(other.pid) not in path.read_text()

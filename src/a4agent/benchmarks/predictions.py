@@ -59,6 +59,10 @@ class Predictions:
             raise DataError(f"{where} has masks of different sizes: {sorted({mask.shape for mask in masks})}")
         return np.logical_or.reduce(masks) if masks else None
 
+    def has(self, identity: str) -> bool:
+        """Whether there is a mask for a sample, readable or not."""
+        return bool(self._listed.get(identity)) or self._picture(identity) is not None
+
     def strays(self, known: Iterable[str]) -> list[str]:
         """Ids that predictions are for and that the benchmark does not have, sorted."""
         found = set(self._listed)

@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
-from a4agent.cli import common, scores_text
-from a4agent.cli.bench_progress import Display
-from a4agent.cli.benchmark_data import OptionsOption, RuleOption, opened, with_samples
-from a4agent.cli.common import ProfileOption, SetOption
+from a4agent.cli import common
+from a4agent.cli.benchmark_data import OptionsOption, opened, with_samples
+from a4agent.cli.common import ProfileOption, SetOption, messages, say
+from a4agent.cli.score import LeakOption, leaks_of, show_scores
 from a4agent.errors import A4Error, BudgetExceeded, ConfigError, UnknownNameError
 
 if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+
     from a4agent.agent import A4Agent
     from a4agent.config import Settings
     from a4agent.runs.bench import Bench, Progress
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from a4agent.types import Status
 
 SHOWN = 5
+PLAIN_SECONDS = 30.0
 
 
 def bench(
@@ -50,7 +53,6 @@ def bench(
         str | None, typer.Option(help="All systems of one table: paper-table-1 to paper-table-6, or a TOML file.")
     ] = None,
     protocol: Annotated[str | None, typer.Option(help="strict, affordance-r1, affordance-r1-umd or ragnet.")] = None,
-    rule: RuleOption = None,
     option: OptionsOption = None,
     cache: Annotated[str | None, typer.Option(help="off, read or write: reuse answers kept on disk.")] = None,
     max_cost: Annotated[float | None, typer.Option(help="Stop at this many US dollars; run again to go on.")] = None,
@@ -62,6 +64,11 @@ def bench(
         Literal["local", "ray"],
         typer.Option(help="local: experts in this process. ray: experts in Ray actors, on one machine or many."),
     ] = "local",
+    leak: LeakOption = None,
+    accept: Annotated[
+        float | None,
+        typer.Option(min=0, max=1, help="Ask nobody: read the run again at this threshold of confidence."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the scores as JSON.")] = False,
 ) -> None:
     """Run a profile on a benchmark and score it.
@@ -86,25 +93,29 @@ def bench(
         "protocol": protocol,
         "oracle": oracle_of(oracle) if oracle else None,
         "retry": _statuses(retry),
+        "leaks": leaks_of(leak),
         "engine": engine,
     }
     if suite:
         if benchmark or profile or out:
-            raise ConfigError("a suite names benchmarks, profiles and folders itself: leave those options away")
+            raise ConfigError("a suite names benchmarks, profiles and folders; remove BENCHMARK, --profile and --out")
         table = load_suite(suite)
-        benchmarks = [with_samples(opened(name, data, rule, option)) for name in table.benchmark_names()]
+        benchmarks = [with_samples(opened(name, data, option)) for name in table.benchmark_names()]
         systems = [
             [Bench(one, _settings_of(system, sets, limits), label=system.label, **plan) for one in benchmarks]
             for system in table.system
         ]
     elif benchmark:
         settings = common.settings(profile, sets, **limits)
-        systems = [[Bench(with_samples(opened(benchmark, data, rule, option)), settings, out=out, **plan)]]
+        systems = [[Bench(with_samples(opened(benchmark, data, option)), settings, out=out, **plan)]]
     else:
         raise ConfigError("which benchmark? `a4 data list` names them; for instance: a4 bench folder --data examples")
-    runs, code = _run_all(systems, as_json)
+    if accept is not None:
+        runs, code = _read_again([work for works in systems for work in works], accept, as_json), common.OK
+    else:
+        runs, code = _run_all(systems, as_json)
     if as_json:
-        found = [scores.summary(run) for run in runs]
+        found = [scores.summary(run, accept) for run in runs]
         print(json.dumps(found if suite else found[0] if found else None, indent=1))
     elif suite and runs:
         for one in fill(runs, load_suite(suite).table):
@@ -138,6 +149,29 @@ def _run_all(systems: Sequence[Sequence[Bench]], as_json: bool) -> tuple[list[Ru
                 raise
             worst = max(worst, common.fail(error))
     return runs, worst
+
+
+def _read_again(works: Sequence[Bench], accept: float, as_json: bool) -> list[Run]:
+    """The runs that are there, with their answers accepted or abstained at another threshold.
+
+    Raises:
+        ConfigError: the answers of a run have no confidence.
+        DataError: there is no run yet.
+    """
+    from a4agent.agent import A4Agent
+    from a4agent.runs.store import read_run
+    from a4agent.runs.trust import with_accept
+
+    runs: list[Run] = []
+    for work in works:
+        with A4Agent.from_settings(work.settings) as agent:
+            run = read_run(work.folder(work.manifest(agent)))
+        if all(record.confidence is None for record in run.records.values()):
+            raise ConfigError(f"the answers in {str(run.folder)!r} have no confidence; use a profile with a [verifier]")
+        runs.append(with_accept(run, accept))
+        if not as_json:
+            _show_scores(runs[-1], accept)
+    return runs
 
 
 def _within(work: Bench, cost: float, seconds: float) -> Bench:
@@ -215,14 +249,18 @@ def _tell(progress: Progress) -> None:
             common.say(f"  {line}")
 
 
-def _show_scores(run: Run) -> None:
+def _show_scores(run: Run, accept: float | None = None) -> None:
     """The scores of a run, on stdout."""
     from a4agent.runs import scores
+    from a4agent.runs.manifest import LEAKS
+    from a4agent.runs.trust import trust
 
     found = scores.score(run)
     part = "" if run.complete else f", {len(run.records)} of {run.planned} samples"
     print(f"{run.manifest.label} on {run.manifest.identity['benchmark']}, protocol {found.protocol}{part}")
-    print("\n".join(scores_text.lines(found)))
+    groups = scores.by_group(run).get("category", {})
+    show_scores(found, groups, scores.measures(run), trust(run, accept))
+    print("; ".join(f"{question}: {run.manifest.leaks[name]}" for name, question in LEAKS.items()))
     told = [record.row["error"] for record in run.records.values() if record.row["error"]]
     for reason, count in scores.errors(run).most_common(SHOWN):
         first = next(error for error in told if error.startswith(reason))
@@ -244,3 +282,67 @@ def _statuses(text: str | None) -> tuple[Status, ...]:
         if name not in STATUSES:
             raise UnknownNameError.of("status", name, STATUSES)
     return tuple(status for status in STATUSES if status in names)
+
+
+class Display:
+    """Shows progress on stderr: a bar in a terminal, a line every half minute in a log."""
+
+    def __init__(self, title: str, progress: Progress) -> None:
+        self._title = title
+        self._started = time.monotonic()
+        self._told = self._started
+        self._bar = _bar() if messages.is_terminal else None
+        self._task = self._bar and self._bar.add_task(
+            title, total=progress.planned, completed=progress.planned - progress.left, words=words(progress, 0.0)
+        )
+
+    def __enter__(self) -> Display:
+        if self._bar:
+            self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar:
+            self._bar.stop()
+
+    def update(self, progress: Progress) -> None:
+        now = time.monotonic()
+        done, text = progress.planned - progress.left, words(progress, now - self._started)
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, completed=done, words=text)
+        elif now - self._told > PLAIN_SECONDS:
+            self._told = now
+            say(f"{self._title}: {done} of {progress.planned}, {text}")
+
+
+def words(progress: Progress, seconds: float) -> str:
+    """ "gIoU 61.2, 3 failed, 1.4/s, 0:12:05 left, $0.37"."""
+    parts = [f"gIoU {100 * progress.giou:.1f}"] if progress.scored else []
+    if progress.failed or progress.unscored:
+        parts.append(f"{progress.failed + len(progress.unscored)} failed")
+    if progress.asked and seconds > 0:
+        rate = progress.asked / seconds
+        parts.append(f"{rate:.1f}/s" if rate >= 0.1 else f"{60 * rate:.1f}/min")
+        parts.append(f"{_clock(progress.left / rate)} left")
+    if progress.cost:
+        parts.append(f"${progress.cost:.2f}")
+    return ", ".join(parts)
+
+
+def _clock(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{seconds:02.0f}"
+
+
+def _bar() -> Bar:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    # No title: it stands on the line above, and 80 columns have room for the figures alone.
+    return Progress(
+        BarColumn(bar_width=None),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[words]}"),
+        console=messages,
+        transient=True,
+        expand=True,
+    )

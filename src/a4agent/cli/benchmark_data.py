@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,14 +14,13 @@ if TYPE_CHECKING:
 
 NameArgument = Annotated[str, typer.Argument(metavar="BENCHMARK", help="umd, reasonaff, ragnet-3doi, folder, ...")]
 DataOption = Annotated[Path, typer.Option("--data", help="The folder of the dataset.")]
-RuleOption = Annotated[str | None, typer.Option("--rule", help="umd: which published rule, a4 or affordance-r1.")]
 OptionsOption = Annotated[
     list[str] | None,
-    typer.Option("--option", metavar="NAME=VALUE", help="An option of the benchmark: --option instruction=1"),
+    typer.Option("--option", metavar="NAME=VALUE", help="An option of the benchmark: --option rule=affordance-r1"),
 ]
 
 
-def opened(name: str, path: Path | None, rule: str | None = None, options: list[str] | None = None) -> Benchmark:
+def opened(name: str, path: Path | None, options: list[str] | None = None) -> Benchmark:
     """The benchmark that the options name.
 
     Raises:
@@ -31,7 +30,7 @@ def opened(name: str, path: Path | None, rule: str | None = None, options: list[
     from a4agent.benchmarks.registry import load
     from a4agent.config import parse_value
 
-    given = {} if rule is None else {"rule": rule}
+    given: dict[str, Any] = {}
     for text in options or []:
         option, equals, value = text.partition("=")
         if not equals or not option.strip():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from a4agent.cli import common
-from a4agent.cli.benchmark_data import NameArgument, OptionsOption, RuleOption, opened
+from a4agent.cli.benchmark_data import NameArgument, OptionsOption, opened
 from a4agent.cli.data_make import make
 from a4agent.errors import ConfigError, InputError
 
@@ -48,14 +48,13 @@ def list_benchmarks(as_json: Annotated[bool, typer.Option("--json", help="Print 
 def check(
     benchmark: NameArgument,
     path: PathArgument,
-    rule: RuleOption = None,
     option: OptionsOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
     """Open every picture and mask of a dataset: what is missing, broken or empty, and where to get it."""
     from a4agent.benchmarks.check import check as check_all
 
-    data = opened(benchmark, path, rule, option)
+    data = opened(benchmark, path, option)
     with common.bar() as progress:
         task = progress.add_task("reading", total=len(data))
         found = check_all(data, lambda _: progress.advance(task))
@@ -121,14 +120,13 @@ def queries(
     benchmark: NameArgument,
     path: PathArgument,
     images: Annotated[Path | None, typer.Option(help="Write pictures that lie inside a table to this folder.")] = None,
-    rule: RuleOption = None,
     option: OptionsOption = None,
 ) -> None:
     """Print what a dataset asks, one JSON line a sample (id, image, instruction): for systems with code of their own.
 
     Their masks, one `<id>.png` each, are scored by `a4 score`.
     """
-    for sample in opened(benchmark, path, rule, option):
+    for sample in opened(benchmark, path, option):
         query = sample.query
         image = query.image if isinstance(query.image, Path) else _written(query.image, query.id, images)
         print(json.dumps({"id": query.id, "image": str(image), "instruction": query.instruction}))

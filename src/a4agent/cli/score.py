@@ -1,24 +1,37 @@
-"""`a4 score`: masks that another system's own code wrote, scored like everything else."""
+"""`a4 score`: masks that another system's own code wrote, scored like everything else. Scores as lines of text."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from a4agent.cli import common, scores_text
-from a4agent.cli.benchmark_data import DataOption, NameArgument, OptionsOption, RuleOption, opened, with_samples
-from a4agent.errors import DataError
+from a4agent.cli import common
+from a4agent.cli.benchmark_data import DataOption, NameArgument, OptionsOption, opened, with_samples
+from a4agent.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from a4agent.benchmarks.base import Benchmark
     from a4agent.benchmarks.predictions import Predictions
     from a4agent.metrics import Scores
     from a4agent.runs.external import Outcome
+    from a4agent.runs.scores import Mean
+    from a4agent.runs.trust import Trust
 
 SHOWN = 5
+LeakOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--leak",
+        metavar="NAME=yes|no",
+        help="trained: on this data. truth: seen by a memory. shared: test images in a memory or template bank.",
+    ),
+]
 
 
 def score(
@@ -28,7 +41,6 @@ def score(
     ],
     data: DataOption,
     protocol: Annotated[str | None, typer.Option(help="strict, affordance-r1, affordance-r1-umd or ragnet.")] = None,
-    rule: RuleOption = None,
     option: OptionsOption = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Keep them as a run folder, for report, compare and tables.")
@@ -36,6 +48,10 @@ def score(
     label: Annotated[
         str | None, typer.Option(help="The system's name in those, such as LISA-7B; else that of the predictions.")
     ] = None,
+    leak: LeakOption = None,
+    resize: Annotated[
+        bool, typer.Option("--resize", help="Stretch masks that are over 4 times larger or smaller than the truth.")
+    ] = False,
     by_category: Annotated[bool, typer.Option("--by-category", help="Also score each category.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
@@ -46,55 +62,96 @@ def score(
     """
     from a4agent import metrics
     from a4agent.benchmarks.predictions import Predictions
-    from a4agent.runs.external import score_predictions, write_run
+    from a4agent.runs.external import outcomes_of, score_predictions, write_run
 
-    opened_data = with_samples(opened(benchmark, data, rule, option))
+    opened_data = with_samples(opened(benchmark, data, option))
     protocol = protocol or opened_data.protocol
     metrics.protocol_of(protocol)
+    leaks = leaks_of(leak)
     masks = Predictions(predictions)
-    outcomes: list[Outcome] = []
+    _check_names(opened_data, masks)
     with common.bar() as progress:
         task = progress.add_task("scoring", total=len(opened_data))
-        for outcome in score_predictions(opened_data, masks):
-            outcomes.append(outcome)
+
+        def advance() -> None:
             progress.advance(task)
+
+        if out is not None:
+            name = label or masks.path.stem
+            kept = write_run(
+                opened_data, masks, out, name=name, protocol=protocol, leaks=leaks, resize=resize, progress=advance
+            )
+            outcomes = list(outcomes_of(kept))
+        else:
+            outcomes: list[Outcome] = []
+            for outcome in score_predictions(opened_data, masks, resize=resize):
+                outcomes.append(outcome)
+                advance()
     _report_problems(outcomes, masks)
-    rows = [outcome.row for outcome in outcomes]
     if out is not None:
-        write_run(opened_data, masks, out, name=label or masks.path.stem, protocol=protocol)
         common.say(f"kept as a run in {out}/")
+    rows = [outcome.row for outcome in outcomes]
     whole = metrics.score(rows, protocol)
     groups = metrics.score_by(rows, [outcome.category for outcome in outcomes], protocol) if by_category else {}
     if as_json:
         print(json.dumps(_as_dict(opened_data, whole, groups), indent=1))
     else:
-        _show(opened_data, whole, groups)
+        print(f"{opened_data.name}, protocol {whole.protocol}, {opened_data.licence}")
+        show_scores(whole, groups)
     if whole.n_failed:
         raise typer.Exit(common.SOME_FAILED)
 
 
-def _report_problems(outcomes: list[Outcome], masks: Predictions) -> None:
-    """Say what was not found or not asked for; both are what a wrong file name looks like.
+def leaks_of(texts: Sequence[str] | None) -> dict[str, str]:
+    """What `--leak` declares.
 
     Raises:
-        DataError: no prediction is for any sample.
+        ConfigError: not NAME=yes or NAME=no with a known name.
     """
-    from a4agent.runs.external import MISSING
+    from a4agent.runs.manifest import LEAKS
 
-    strays = masks.strays(outcome.id for outcome in outcomes)
-    missing = [outcome.id for outcome in outcomes if outcome.problem == MISSING]
-    if len(missing) == len(outcomes):
-        wanted = ", ".join(f"{identity}.png" for identity in missing[:3])
+    found: dict[str, str] = {}
+    for text in texts or ():
+        name, _, answer = text.partition("=")
+        if name not in LEAKS or answer not in ("yes", "no", "unknown"):
+            raise ConfigError(
+                f"--leak takes trained, truth or shared with =yes or =no (such as trained=no), not {text!r}"
+            )
+        found[name] = answer
+    return found
+
+
+def _check_names(data: Benchmark, masks: Predictions) -> None:
+    """Stop before any work if no prediction is for any sample.
+
+    Raises:
+        DataError: so it is.
+    """
+    ids = [sample.id for sample in data]
+    if not any(map(masks.has, ids)):
+        strays = masks.strays(ids)
+        wanted = ", ".join(f"{identity}.png" for identity in ids[:3])
         raise DataError(
             f"no prediction in {str(masks.path)!r} belongs to a sample: they are named by id, such as {wanted}"
             + (f"; found {', '.join(strays[:3])}" if strays else "")
         )
+
+
+def _report_problems(outcomes: list[Outcome], masks: Predictions) -> None:
+    """Warn of what was not found, not asked for, or of another size; all are what a wrong file looks like."""
+    from a4agent.runs.external import MISSING
+
+    strays = masks.strays(outcome.id for outcome in outcomes)
+    missing = [outcome.id for outcome in outcomes if outcome.problem == MISSING]
+    resized = [outcome.id for outcome in outcomes if outcome.row.resized]
     if missing:
         common.warn(
             f"no prediction for {len(missing)} of {len(outcomes)} samples, which count as failed: {_some(missing)}"
         )
     for problem in [outcome.problem for outcome in outcomes if outcome.problem not in ("", MISSING)][:SHOWN]:
         common.warn(problem)
+    if resized:
+        common.warn(f"{len(resized)} masks were resized to the truth's size: {_some(resized)}")
     if strays:
         common.warn(f"predictions for no sample: {len(strays)} ({_some(strays)})")
 
@@ -108,12 +165,49 @@ def _as_dict(data: Benchmark, whole: Scores, groups: dict[str, Scores]) -> dict[
     return {"benchmark": data.fingerprint(), "scores": whole.to_dict(), **categories}
 
 
-def _show(data: Benchmark, whole: Scores, groups: dict[str, Scores]) -> None:
+def show_scores(
+    whole: Scores,
+    groups: Mapping[str, Scores] | None = None,
+    measures: Mapping[str, Mean] | None = None,
+    trust: Trust | None = None,
+) -> None:
+    """Print scores on stdout: the counts, each measure in percent with its 95 % interval, then a row a group."""
     from a4agent.metrics import MEASURES
+    from a4agent.runs.scores import measure_name
 
-    print(f"{data.name}, protocol {whole.protocol}, {data.licence}")
-    print("\n".join(scores_text.lines(whole)))
-    width = max(map(len, groups), default=0)
-    for group, scores in sorted(groups.items()):
-        values = "  ".join(f"{label} {scores_text.percent(getattr(scores, name))}" for name, label in MEASURES.items())
+    print(
+        f"n {whole.n}  scored {whole.n_scored}  failed {whole.n_failed}  empty truth {whole.n_empty_truth}  "
+        f"empty prediction {whole.n_empty_prediction}  resized {whole.n_resized}"
+    )
+    wide = 15 if trust else 13 if measures else 8
+    for name, label in MEASURES.items():
+        low, high = whole.intervals[name]
+        print(f"{label:<{wide}}{percent(getattr(whole, name))}   95% {percent(low)} to {percent(high)}")
+    for name, mean in (measures or {}).items():
+        shown = percent if name == "contact" else _plain
+        print(f"{measure_name(name):<{wide}}{shown(mean.value)}   95% {shown(mean.low)} to {shown(mean.high)}")
+    if trust:
+        _show_trust(trust)
+    width = max(map(len, groups or ()), default=0)
+    for group, scores in sorted((groups or {}).items()):
+        values = "  ".join(f"{label} {percent(getattr(scores, name))}" for name, label in MEASURES.items())
         print(f"  {group:<{width}}  n {scores.n:<5} {values}")
+
+
+def _show_trust(found: Trust) -> None:
+    from a4agent.runs.trust import MEASURES
+
+    at = "" if found.accept is None else f", accepted from {found.accept:g}"
+    print(f"confidence of {found.n_rated} of {found.n} answers{at}")
+    for name, label in MEASURES.items():
+        low, high = found.intervals[name]
+        print(f"{label:<15}{percent(found.values[name])}   95% {percent(low)} to {percent(high)}")
+
+
+def percent(value: float) -> str:
+    """A share of 1 in percent, "-" where it is not defined."""
+    return "     -" if value != value else f"{100 * value:6.2f}"
+
+
+def _plain(value: float) -> str:
+    return f"{value:6.3f}"

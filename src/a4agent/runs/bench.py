@@ -10,7 +10,7 @@ The agent sees queries only. What is true is read here, when the answer has come
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from math import isfinite
@@ -24,7 +24,7 @@ from a4agent.agent import A4Agent
 from a4agent.benchmarks.base import Benchmark, Sample
 from a4agent.config import Settings
 from a4agent.errors import DataError, InputError, UserError
-from a4agent.imaging.masks import encode_rle
+from a4agent.imaging.masks import Rle, decode_rle, encode_rle
 from a4agent.plugins import Plugins
 from a4agent.runs.manifest import Manifest, prompt_hashes, settings_identity, settings_told
 from a4agent.runs.oracle import Oracle, given_of
@@ -91,7 +91,10 @@ class Progress:
 
 @dataclass(frozen=True)
 class Bench:
-    """One configuration on one benchmark. `retry` names statuses that are asked for again."""
+    """One configuration on one benchmark.
+
+    `retry` names statuses that are asked for again; `leaks` answers questions of `manifest.LEAKS`.
+    """
 
     benchmark: Benchmark
     settings: Settings
@@ -101,6 +104,7 @@ class Bench:
     label: str = ""
     out: Path | None = None
     retry: tuple[Status, ...] = ()
+    leaks: Mapping[str, str] = field(default_factory=dict[str, str])
     engine: Literal["local", "ray"] = "local"
 
     def manifest(self, agent: A4Agent) -> Manifest:
@@ -126,6 +130,7 @@ class Bench:
                 "data": str(self.benchmark.root),
                 "licence": self.benchmark.licence,
                 "settings": settings_told(self.settings),
+                **({"leaks": dict(self.leaks)} if self.leaks else {}),
             },
         )
 
@@ -174,32 +179,21 @@ class Session:
             self.progress.count(record.scored, self._protocol)
 
     def __iter__(self) -> Iterator[Record]:
-        progress, writer = self.progress, self._writer
-        for sample, affordance in self._answers():
+        progress, writer, benchmark = self.progress, self._writer, self._work.benchmark
+        for asked, affordance in self._answers():
             progress.asked += 1
             progress.cost += affordance.trace.cost
-            truths = self._truths(sample)
-            if truths is None:
-                continue
-            row = row_of(sample, affordance, truths, writer)
-            if sample.id in writer.records:
-                progress.count(writer.records[sample.id].scored, self._protocol, -1)
+            row = row_of(benchmark, asked.sample, affordance, asked.truths(), writer)
+            if row["id"] in writer.records:
+                progress.count(writer.records[row["id"]].scored, self._protocol, -1)
             record = writer.add(row)
             progress.count(record.scored, self._protocol)
             yield record
 
-    def _truths(self, sample: Sample) -> tuple[np.ndarray, ...] | None:
-        """The masks that are right, None where they cannot be read; read twice a sample rather than kept."""
-        try:
-            return sample.truth.masks()
-        except UserError as error:
-            self.progress.unscored[sample.id] = str(error)
-            return None
-
-    def _answers(self) -> Iterator[tuple[Sample, Affordance]]:
+    def _answers(self) -> Iterator[tuple[_Asked, Affordance]]:
         """The samples that are wanted with their answers, as they are ready."""
         benchmark, oracle = self._work.benchmark, self._work.oracle
-        in_flight: dict[str, Sample] = {}
+        in_flight: dict[str, _Asked] = {}
         seen: set[str] = set()
 
         def queries() -> Iterator[Query]:
@@ -212,13 +206,19 @@ class Session:
                 if sample.id in seen:
                     raise DataError(f"two samples of {benchmark.name!r} have the same id {sample.id!r}")
                 seen.add(sample.id)
-                if self._writer.wants(sample.id) and self._truths(sample):  # nothing is paid for what has no score
-                    in_flight[sample.id] = sample
-                    yield sample.query
+                if not self._writer.wants(sample.id):
+                    continue
+                try:  # before the question: nothing is paid for what cannot be scored
+                    in_flight[sample.id] = _Asked(sample, tuple(encode_rle(mask) for mask in sample.truth.masks()))
+                except UserError as error:
+                    self.progress.unscored[sample.id] = str(error)
+                    continue
+                yield sample.query
 
         def given(query: Query) -> Given | None:
+            asked = in_flight[query.id]
             try:
-                return given_of(in_flight[query.id], oracle) if oracle else None
+                return given_of(asked.sample, oracle, asked.truths()[0]) if oracle else None
             except InputError:
                 return None  # the agent will find the same wrong with the picture, and it is this sample's answer
 
@@ -232,18 +232,34 @@ class Session:
             yield in_flight.pop(query.id), affordance
 
 
-def row_of(sample: Sample, affordance: Affordance, truths: tuple[np.ndarray, ...], writer: RunWriter) -> dict[str, Any]:
+@dataclass(frozen=True)
+class _Asked:
+    """A sample in flight. Its true masks were read once and wait, run-length encoded, for the answer."""
+
+    sample: Sample
+    encoded: tuple[Rle, ...]
+
+    def truths(self) -> tuple[np.ndarray, ...]:
+        return tuple(decode_rle(rle) for rle in self.encoded)
+
+
+def row_of(
+    benchmark: Benchmark, sample: Sample, affordance: Affordance, truths: tuple[np.ndarray, ...], writer: RunWriter
+) -> dict[str, Any]:
     """The line of samples.jsonl: the answer, what it scored, and the names of its pictures, which are written.
 
     `truths` are masks (H, W) of bool that are equally right.
     """
-    row = metrics.measure(affordance.mask, truths[0], affordance.status, truths[1:])
-    counted = next(t for t in truths if metrics.measure(affordance.mask, t, affordance.status)[:2] == row[:2])
+    mask = affordance.mask
+    row, best = metrics.measure_best(mask, truths, affordance.status)
+    measures = {"contact": metrics.contact_hit(None if row.failed else mask, truths)}
+    if benchmark.measure:
+        measures |= benchmark.measure(sample, affordance)
     imagined = affordance.imagination.image if affordance.imagination else None
     pictures = {"original": affordance.image, "imagination": imagined}
     answer = replace(affordance, id=sample.id).to_dict()
     for region in answer["regions"]:
-        region["score"] = region["score"] if region["score"] is not None and isfinite(region["score"]) else None
+        region["score"] = _finite(region["score"])
     return {
         **answer,
         "intersection": row.intersection,
@@ -252,8 +268,13 @@ def row_of(sample: Sample, affordance: Affordance, truths: tuple[np.ndarray, ...
         "truth_pixels": row.truth_pixels,
         "prediction_pixels": row.prediction_pixels,
         "resized": row.resized,
-        "truth": encode_rle(counted),
+        "measures": {name: _finite(value) for name, value in measures.items()},
+        "truth": encode_rle(truths[best]),
         "category": sample.truth.category,
         "tags": dict(sample.truth.tags),
         "pictures": {kind: writer.add_picture(image) for kind, image in pictures.items() if image is not None},
     }
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and isfinite(value) else None

@@ -14,20 +14,46 @@ from typing import Any
 from a4agent import metrics
 from a4agent.errors import DataError
 from a4agent.metrics import Comparison, Difference
-from a4agent.runs import scores
+from a4agent.runs import scores, trust
 from a4agent.runs.manifest import differences
 from a4agent.runs.oracle import ORACLES
 from a4agent.runs.store import Run
 
 
 @dataclass(frozen=True)
+class Line:
+    """One measure of two runs and its paired change; `percent` marks shares of 1."""
+
+    name: str
+    label: str
+    first: float
+    second: float
+    change: Difference
+    percent: bool = True
+
+
+@dataclass(frozen=True)
 class Pair:
-    """Two runs: `changed` lists what their configurations differ in."""
+    """Two runs: `changed` lists what their configurations differ in.
+
+    `measures` are contact hits and what the benchmark adds, `trust` the confidences' figures where both runs have some.
+    """
 
     first: Run
     second: Run
     result: Comparison
     changed: tuple[str, ...]
+    measures: tuple[Line, ...] = ()
+    trust: tuple[Line, ...] = ()
+
+    def lines(self) -> list[Line]:
+        """All measures that are defined, the masks' first."""
+        masks = [
+            Line(name, label, first, getattr(self.result.second, name), self.result.differences[name])
+            for name, label in metrics.MEASURES.items()
+            if (first := getattr(self.result.first, name)) == first
+        ]
+        return [*masks, *self.measures, *self.trust]
 
 
 @dataclass(frozen=True)
@@ -50,12 +76,34 @@ def compare(first: Run, second: Run, protocol: str | None = None) -> Pair:
         result = metrics.compare(scores.rows_of(first), scores.rows_of(second), protocol)
     except DataError as error:
         raise DataError(f"{str(first.folder)!r} and {str(second.folder)!r}: {error}") from error
+    _same_truths(first, second, result)
     configurations = [_configuration(run) for run in (first, second)]
     if first.external or second.external:  # of another system only its name is known
         for run, found in zip((first, second), configurations, strict=True):
             found.update(settings=None, experts=None, prompts=None, system=run.manifest.label)
     changed = differences(configurations[0], configurations[1])
-    return Pair(first, second, result, tuple(changed))
+    measures = [
+        Line(name, scores.measure_name(name), one.value, two.value, change, name == "contact")
+        for name, (one, two, change) in scores.measure_changes(first, second).items()
+    ]
+    figures = [
+        Line(name, trust.MEASURES[name], *values, change)
+        for name, (values, change) in (trust.compare(first, second) or {}).items()
+    ]
+    return Pair(first, second, result, tuple(changed), tuple(measures), tuple(figures))
+
+
+def _same_truths(first: Run, second: Run, result: Comparison) -> None:
+    """A mask that was replaced by another one of the same area is a different truth as well."""
+    for id, record in first.records.items():
+        other = second.records.get(id)
+        if other is None or None in (record.scored.truth_pixels, other.scored.truth_pixels):
+            continue  # of several right masks, each keeps the one that its answer is closest to
+        if record.truth != other.truth:
+            raise DataError(
+                f"{str(first.folder)!r} and {str(second.folder)!r}: the true mask of {id!r} is not the same in both,"
+                f" so they cannot be compared; {result.n_shared} samples are shared"
+            )
 
 
 def losses(runs: Sequence[Run], protocol: str | None = None) -> list[list[Loss]]:
@@ -99,6 +147,13 @@ def to_dict(pairs: Sequence[Pair], tables: Sequence[Sequence[Loss]]) -> dict[str
                 "only_second": pair.result.n_only_second,
                 "scores": [pair.result.first.to_dict(), pair.result.second.to_dict()],
                 "differences": {name: _difference(found) for name, found in pair.result.differences.items()},
+                **{
+                    kind: {
+                        line.name: {"values": [_known(line.first), _known(line.second)], **_difference(line.change)}
+                        for line in lines
+                    }
+                    for kind, lines in (("measures", pair.measures), ("trust", pair.trust))
+                },
                 "gained": list(pair.result.gained),
                 "lost": list(pair.result.lost),
             }

@@ -1,4 +1,4 @@
-"""Masks that another system's own code wrote, scored like our own: what `a4 score` does, from Python.
+"""Masks that another system wrote, scored like our own: what `a4 score` does, from Python.
 
 outcomes = list(score_predictions(load("umd", "data/umd"), Predictions("their/masks")))
 metrics.score([outcome.row for outcome in outcomes], "strict")
@@ -8,7 +8,7 @@ metrics.score([outcome.row for outcome in outcomes], "strict")
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,13 +20,15 @@ from a4agent.benchmarks.predictions import Predictions
 from a4agent.engine.pipeline import ordered_map
 from a4agent.errors import DataError, InputError
 from a4agent.imaging.load import load_image
-from a4agent.metrics import Row, measure
+from a4agent.metrics import Row
 from a4agent.runs.bench import row_of
 from a4agent.runs.manifest import Manifest
 from a4agent.runs.store import Run, RunWriter, read_run
 from a4agent.types import Affordance, Region
 
-MISSING = "missing"
+MISSING = "no prediction"
+LARGEST_FACTOR = 4.0
+"""How many times larger or smaller than the truth, on either side, a mask may be without being asked about."""
 
 
 @dataclass(frozen=True)
@@ -39,25 +41,44 @@ class Outcome:
     problem: str = ""
 
 
-def score_predictions(benchmark: Benchmark, predictions: Predictions, workers: int | None = None) -> Iterator[Outcome]:
+def score_predictions(
+    benchmark: Benchmark, predictions: Predictions, workers: int | None = None, *, resize: bool = False
+) -> Iterator[Outcome]:
     """The outcome of every sample, in order; a prediction that is missing or unreadable is a failed sample.
 
     Only as many masks as there are `workers` (None: one a core) are in memory at a time.
 
     Raises:
-        DataError: the truth of a sample cannot be read; `a4 data check` lists all such.
+        DataError: the truth of a sample cannot be read (`a4 data check` lists all such), or, without `resize`, a
+            prediction's size differs from the truth's by more than `LARGEST_FACTOR`.
     """
-    return ordered_map(lambda sample: _outcome(sample, predictions), benchmark, workers)
+
+    def outcome(sample: Sample) -> Outcome:
+        truths = sample.truth.masks()
+        mask, problem = _predicted(sample, predictions, truths[0].shape, resize)
+        return Outcome(sample.id, sample.truth.category or "none", metrics.measure_best(mask, truths)[0], problem)
+
+    return ordered_map(outcome, benchmark, workers)
 
 
 def write_run(
-    benchmark: Benchmark, predictions: Predictions, folder: Path, *, name: str, protocol: str | None = None
+    benchmark: Benchmark,
+    predictions: Predictions,
+    folder: Path,
+    *,
+    name: str,
+    protocol: str | None = None,
+    leaks: Mapping[str, str] | None = None,
+    resize: bool = False,
+    progress: Callable[[], None] = lambda: None,
 ) -> Run:
     """Keep what the system `name` predicted as a run in `folder`, with pictures; goes on where it was stopped.
 
+    `leaks` are the answers to `manifest.LEAKS`; `progress` is called after every sample.
+
     Raises:
         ConfigError: the folder belongs to another configuration, or to other predictions.
-        DataError: it is in use or holds other files, or the truth of a sample cannot be read.
+        DataError: it is in use or holds other files, or what `score_predictions` raises.
     """
     manifest = Manifest(
         identity={
@@ -71,49 +92,64 @@ def write_run(
             "prompts": {},
             "predictions": predictions.digest(),
         },
-        about={"label": name, "data": str(benchmark.root), "licence": benchmark.licence},
+        about={
+            "label": name,
+            "data": str(benchmark.root),
+            "licence": benchmark.licence,
+            "leaks": dict(leaks or {}),
+        },
     )
+
+    def answered(sample: Sample) -> tuple[Sample, tuple[np.ndarray, ...], Affordance]:
+        truths = sample.truth.masks()
+        mask, problem = _predicted(sample, predictions, truths[0].shape, resize)
+        return sample, truths, _answer(sample, mask, problem)
+
     with RunWriter(folder, manifest) as writer:
-        wanted = (sample for sample in benchmark if writer.wants(sample.id))
-        for sample, truths, answer in ordered_map(
-            lambda one: (one, one.truth.masks(), _answer(one, predictions)), wanted
-        ):
-            writer.add(row_of(sample, answer, truths, writer))
+        for sample, truths, answer in ordered_map(answered, (s for s in benchmark if writer.wants(s.id))):
+            writer.add(row_of(benchmark, sample, answer, truths, writer))
+            progress()
     return read_run(folder)
 
 
-def _outcome(sample: Sample, predictions: Predictions) -> Outcome:
-    truth, *others = sample.truth.masks()
-    prediction, problem = _predicted(sample, predictions)
-    return Outcome(sample.id, sample.truth.category or "none", measure(prediction, truth, alternatives=others), problem)
+def outcomes_of(run: Run) -> Iterable[Outcome]:
+    """The outcomes that `write_run` kept."""
+    for record in run.records.values():
+        yield Outcome(record.id, record.category or "none", record.scored, record.row["error"] or "")
 
 
-def _answer(sample: Sample, predictions: Predictions) -> Affordance:
+def _answer(sample: Sample, mask: np.ndarray | None, problem: str) -> Affordance:
     """What was predicted as an answer of ours: one region without box or points, in the prediction's own size."""
-    prediction, problem = _predicted(sample, predictions)
     try:
         image = load_image(sample.query.image)
     except InputError:  # the other system has read it, or else has failed
         image = None
-    if prediction is None:
-        error = "no prediction" if problem == MISSING else f"unreadable prediction: {problem}"
-        return Affordance(
-            sample.query.instruction, image.size if image else (0, 0), status="error", error=error, image=image
-        )
-    region = Region(None, np.zeros((0, 2), np.float32), prediction)
+    instruction = sample.query.instruction
+    if mask is None:
+        return Affordance(instruction, image.size if image else (0, 0), status="error", error=problem, image=image)
     return Affordance(
-        sample.query.instruction,
-        (prediction.shape[1], prediction.shape[0]),
-        regions=(region,),
-        status="ok" if prediction.any() else "empty",
+        instruction,
+        (mask.shape[1], mask.shape[0]),
+        regions=(Region(None, np.zeros((0, 2), np.float32), mask),),
+        status="ok" if mask.any() else "empty",
         image=image,
     )
 
 
-def _predicted(sample: Sample, predictions: Predictions) -> tuple[np.ndarray | None, str]:
+def _predicted(
+    sample: Sample, predictions: Predictions, shape: tuple[int, ...], resize: bool
+) -> tuple[np.ndarray | None, str]:
     """The mask predicted for a sample, or None and why there is none."""
     try:
         mask = predictions.mask(sample.id)
     except DataError as error:
         return None, str(error)
-    return mask, MISSING if mask is None else ""
+    if mask is None:
+        return None, MISSING
+    (high, wide), (height, width) = mask.shape, shape
+    if not resize and max(high / height, height / max(high, 1), wide / width, width / max(wide, 1)) > LARGEST_FACTOR:
+        raise DataError(
+            f"the prediction for {sample.id!r} is {wide} x {high} and its truth {width} x {height}: they differ by more"
+            f" than {LARGEST_FACTOR:g} times; pass --resize to stretch such masks"
+        )
+    return mask, ""

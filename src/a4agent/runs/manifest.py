@@ -30,15 +30,26 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timezone
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from a4agent import prompts
 from a4agent.config import STAGES, Settings
 from a4agent.errors import DataError
 from a4agent.redaction import redact
+from a4agent.stages.calibration import load_calibration
 
 SCHEMA = 1
 LIBRARIES = ("numpy", "pillow", "scipy", "torch", "transformers", "diffusers", "openai", "onnxruntime", "ray")
+
+
+LEAKS = {
+    "trained": "trained on this data",
+    "truth": "truth of the test set seen",
+    "shared": "test images in a memory or template bank",
+}
+"""What makes a score say less than it seems to; the answers are "yes", "no" and "unknown"."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +87,14 @@ class Manifest:
         """All names that tables gave this configuration; one may be a row of several."""
         return tuple(self.about.get("labels") or filter(None, [self.about.get("label")]))
 
+    @property
+    def leaks(self) -> dict[str, str]:
+        """The answers to `LEAKS`. Our stages see queries only and keep no memory; the rest must be declared."""
+        ours = "predictions" not in self.identity
+        known = {"truth": "no", "shared": "no"} if ours else {}
+        oracle = {"truth": "yes"} if self.identity.get("oracle") else {}
+        return {**dict.fromkeys(LEAKS, "unknown"), **known, **(self.about.get("leaks") or {}), **oracle}
+
     def taking_up(self, there: Manifest) -> Manifest:
         """This manifest with the sessions and the names of the one that is `there`, of the same configuration."""
         named = self.about.get("label") or there.about.get("label") or ""
@@ -91,7 +110,7 @@ class Manifest:
         return json.dumps({"schema": SCHEMA, **asdict(self)}, indent=1, ensure_ascii=False, default=str) + "\n"
 
     @classmethod
-    def from_json(cls, text: str, name: str) -> Manifest:
+    def from_json(cls, text: str | bytes, name: str) -> Manifest:
         """The inverse of `to_json`.
 
         Raises:
@@ -99,11 +118,47 @@ class Manifest:
         """
         try:
             data = json.loads(text)
-            if data["schema"] != SCHEMA:
-                raise DataError(f"{name!r} has schema {data['schema']!r}; this version reads {SCHEMA}")
+            if isinstance(data, dict) and data.get("schema") != SCHEMA:  # pyright: ignore[reportUnknownMemberType]
+                raise DataError(f"{name!r} has schema {data.get('schema')!r}; this version reads {SCHEMA}")  # pyright: ignore
+            _FILE.validate_python(data)
             return cls(data["identity"], data["about"], tuple(data["sessions"]))
-        except (KeyError, TypeError, ValueError) as error:
-            raise DataError(f"{name!r} is not the manifest of a run: {error!r}") from error
+        except ValidationError as error:
+            first = error.errors(include_url=False, include_input=False)[0]
+            place = ".".join(map(str, first["loc"])) or "the file"
+            raise DataError(f"{name!r} is not the manifest of a run: {place}: {first['msg']}") from error
+        except (ValueError, RecursionError) as error:
+            raise DataError(f"{name!r} is not the manifest of a run: {error}") from error
+
+
+class _Selection(BaseModel):
+    limit: int | None
+    shuffle: int | None
+    samples: int
+
+
+class _Identity(BaseModel):
+    benchmark: str
+    protocol: str
+    oracle: Literal["thinker", "detector", "segmenter"] | None
+    selection: _Selection
+
+
+class _Session(BaseModel):
+    started: str
+    command: str
+    versions: dict[str, str]
+    git: dict[str, Any] | None
+
+
+class _File(BaseModel):
+    """The fields of manifest.json that reports and tables read. Run folders travel: it may be any file."""
+
+    identity: _Identity
+    about: dict[str, Any]
+    sessions: list[_Session]
+
+
+_FILE = TypeAdapter(_File)
 
 
 def settings_identity(settings: Settings) -> dict[str, Any]:
@@ -116,6 +171,8 @@ def settings_identity(settings: Settings) -> dict[str, Any]:
     for name in settings.expert_specs():
         stage, role = name.split(".")
         found[stage][role] = found[stage][role]["expert"]
+    if settings.verifier and settings.verifier.calibration:  # the file's content counts, not where it lies
+        found["verifier"]["calibration"] = load_calibration(settings.verifier.calibration).sha256
     return found
 
 
@@ -129,6 +186,8 @@ def prompt_hashes(settings: Settings) -> dict[str, str]:
     found: dict[str, str] = {}
     if settings.dreamer:
         found["dreamer"] = prompts.text_hash(prompts.load(settings.dreamer.prompts, "dreamer"))
+    if settings.verifier and settings.verifier.vlm:
+        found["verifier"] = prompts.text_hash(prompts.load(settings.verifier.prompts, "verifier"))
     if settings.thinker:
         template = "thinker" if settings.dreamer else "thinker_one_image"
         found[template] = prompts.text_hash(prompts.load(settings.thinker.prompts, template))

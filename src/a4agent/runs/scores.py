@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from math import isnan
 from typing import Any
 
+import numpy as np
+
 from a4agent import metrics
-from a4agent.metrics import Row, Scores
+from a4agent.metrics import Difference, Row, Scores
+from a4agent.runs import trust
 from a4agent.runs.store import Record, Run, write_atomically
 
 OUTCOMES = ("hit", "too much", "too little", "partly", "elsewhere", "nothing found", "unreadable", "failed")
@@ -74,12 +78,61 @@ def outcome(record: Record) -> str:
     return "too little" if 2 * row.intersection >= found else "partly"
 
 
+@dataclass(frozen=True)
+class Mean:
+    """The mean of a further measure over the `n` samples where it is defined, with its 95 % bootstrap interval."""
+
+    value: float
+    low: float
+    high: float
+    n: int
+
+
+def measures(run: Run) -> dict[str, Mean]:
+    """The means of the records' further measures by name: "contact" hits, and what the benchmark adds."""
+    found: dict[str, Mean] = {}
+    for name in dict.fromkeys(name for record in run.records.values() for name in record.measures):
+        values = np.sort([v for r in run.records.values() if (v := r.measures.get(name)) is not None])
+        if len(values):
+            found[name] = Mean(float(values.mean()), *_ends(values), len(values))
+    return found
+
+
+def measure_changes(first: Run, second: Run) -> dict[str, tuple[Mean, Mean, Difference]]:
+    """Each measure in both runs and its change with a paired 95 % interval, on the samples where both define it."""
+    found: dict[str, tuple[Mean, Mean, Difference]] = {}
+    for name in measures(first):
+        pairs = [
+            (a, b)
+            for id, record in sorted(first.records.items())
+            if id in second.records
+            and (a := record.measures.get(name)) is not None
+            and (b := second.records[id].measures.get(name)) is not None
+        ]
+        if pairs:
+            one, two = np.array(pairs).T
+            means = [Mean(float(values.mean()), *_ends(values), len(values)) for values in (one, two)]
+            found[name] = (*means, Difference(float((two - one).mean()), *_ends(two - one)))  # type: ignore[assignment]
+    return found
+
+
+def measure_name(name: str) -> str:
+    """How people write a measure."""
+    return {"contact": "contact hits", "kld": "KLD", "sim": "SIM", "nss": "NSS"}.get(name, name)
+
+
+def _ends(values: np.ndarray) -> tuple[float, float]:
+    draws = np.random.default_rng(0).integers(0, len(values), (metrics.RESAMPLES, len(values)))
+    low, high = np.percentile(values[draws].mean(axis=1), [2.5, 97.5]).tolist()
+    return low, high
+
+
 def errors(run: Run) -> Counter[str]:
     """How often samples failed for which reason: the part of the message before its first colon."""
     return Counter(record.row["error"].partition(":")[0] for record in run.records.values() if record.row["error"])
 
 
-def summary(run: Run) -> dict[str, Any]:
+def summary(run: Run, accept: float | None = None) -> dict[str, Any]:
     """Scores and costs, ready for `json.dumps`: what scores.json and `--json` hold."""
     return {
         "run": str(run.folder),
@@ -88,8 +141,12 @@ def summary(run: Run) -> dict[str, Any]:
         "planned": run.planned,
         "complete": run.complete,
         "scores": score(run).to_dict(),
+        "statuses": dict(Counter(record.status for record in run.records.values())),
+        "measures": {name: asdict(mean) for name, mean in measures(run).items()},
+        "trust": found.to_dict() if (found := trust.trust(run, accept)) else None,
+        "leaks": run.manifest.leaks,
         "groups": {
-            name: {value: found.to_dict() for value, found in groups.items()} for name, groups in by_group(run).items()
+            name: {value: group.to_dict() for value, group in groups.items()} for name, groups in by_group(run).items()
         },
     }
 

@@ -1,31 +1,34 @@
-"""A run is a folder. Whatever instant its process dies at, the next one goes on where it stopped.
+"""A run is a folder. Its process may die at any instant, and the next one goes on where it stopped.
 
     runs/umd-paper-1f0c3a9e/
       manifest.json      the configuration; one a folder, for ever (see manifest.py)
-      samples.jsonl      one line a scored sample, on disk before the next one is asked for
-      images/4be1….jpg   the pictures of the samples, by the hash of their pixels, scaled down to be looked at
+      samples.jsonl      one line a scored sample, on disk before the next one is scored
+      images/4be1….jpg   the pictures of the samples, named by the hash of their pixels, scaled down for display
       scores.json        the scores when the last session ended; computed from samples.jsonl, safe to delete
       lock               held while a process writes
 
 A line of samples.jsonl (wrapped here) is what `Affordance.to_dict` gives, and what it scored:
 
-    {"schema": 1, "id": "mug_02", "instruction": "...", "size_wh": [640, 480], "status": "ok", "error": null,
-     "target": {...}, "imagination": null, "boxes_xyxy": [...], "points_xy": [...],
+    {"schema": 2, "id": "mug_02", "instruction": "...", "size_wh": [640, 480], "status": "ok", "error": null,
+     "confidence": 0.91, "checks": [...], "target": {...}, "imagination": null, "boxes_xyxy": [...], "points_xy": [...],
      "mask": {"size": ..., "counts": ...}, "regions": [...], "trace": [...],
      "intersection": 2041, "union": 2517, "iou": 0.8109, "truth_pixels": 2230, "prediction_pixels": 2328,
-     "truth": {"size": ..., "counts": ...}, "resized": false, "category": "grasp", "tags": {},
-     "pictures": {"original": "images/4be1….jpg"}}
+     "truth": {"size": ..., "counts": ...}, "resized": false, "measures": {"contact": 1.0}, "category": "grasp",
+     "tags": {}, "pictures": {"original": "images/4be1….jpg"}}
 
-A sample that is asked for again gets a second line; the last line of an id counts. A last line that a
-kill tore is cut off when the folder is opened for writing, and left out when it is only read.
+A sample that is asked for again gets a second line; the last line of an id counts. An unfinished last line is cut off
+when the folder is opened for writing, and ignored when it is only read.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import os
-from collections.abc import Iterable, Mapping
-from contextlib import ExitStack
+import socket
+import sys
+from collections.abc import Generator, Iterable, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,7 +38,7 @@ from a4agent.files import is_draft, replace_file
 from a4agent.imaging.load import image_hash
 from a4agent.metrics import Row
 from a4agent.redaction import redact
-from a4agent.runs.lock import hold
+from a4agent.runs.line import problem_of
 from a4agent.runs.manifest import Manifest, differences
 from a4agent.types import Affordance, Status
 
@@ -74,6 +77,16 @@ class Record:
             row.get("prediction_pixels"),
             bool(row.get("resized")),
         )
+
+    @property
+    def confidence(self) -> float | None:
+        """How likely the Verifier thought the mask right; None without one."""
+        return self.row.get("confidence")
+
+    @property
+    def measures(self) -> Mapping[str, float | None]:
+        """Further measures of the answer by name, such as "contact"; None where one is undefined."""
+        return self.row.get("measures") or {}
 
     @property
     def iou(self) -> float:
@@ -145,25 +158,27 @@ def read_run(folder: str | Path) -> Run:
         DataError: not a run folder, or a line of it is damaged.
     """
     folder = Path(folder)
-    path = folder / "manifest.json"
+    return Run(folder, _read_manifest(folder / "manifest.json"), read_records(folder / "samples.jsonl"))
+
+
+def _read_manifest(path: Path) -> Manifest:
     try:
-        text = path.read_text(encoding="utf-8")
+        return Manifest.from_json(path.read_bytes(), str(path))
     except FileNotFoundError as error:
         raise DataError(
-            f"{str(folder)!r} is not a run folder: it has no manifest.json; `a4 bench` makes one"
+            f"{str(path.parent)!r} is not a run folder: it has no manifest.json; `a4 bench` makes one"
         ) from error
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
         raise DataError(f"{str(path)!r} cannot be read: {error}") from error
-    return Run(folder, Manifest.from_json(text, str(path)), read_records(folder / "samples.jsonl"))
 
 
 def read_records(path: Path, keep: Iterable[str] = ()) -> dict[str, Record]:
-    """The last record of every id, in the order of their first lines; a torn last line is left out.
+    """The last record of every id, in the order of their first lines; an unfinished last line is ignored.
 
     `keep` names the fields wanted, all if it is empty.
 
     Raises:
-        DataError: another line is not a record.
+        DataError: another line is damaged, or was written by another version.
     """
     records: dict[str, Record] = {}
     try:
@@ -171,13 +186,16 @@ def read_records(path: Path, keep: Iterable[str] = ()) -> dict[str, Record]:
             for number, line in enumerate(file, 1):
                 try:
                     row = json.loads(line)
+                    problem = problem_of(row)
+                except (ValueError, RecursionError) as error:
+                    row, problem = {}, str(error)
+                if not problem:
                     records[row["id"]] = Record({key: row[key] for key in keep if key in row} if keep else row)
-                except (ValueError, KeyError, TypeError) as error:
-                    if not line.endswith(b"\n"):  # a write that was cut off
-                        break
+                elif line.endswith(b"\n"):
                     raise DataError(
-                        f"line {number} of {str(path)!r} is not a record ({error}); remove that line"
-                    ) from error
+                        f"line {number} of {str(path)!r} is damaged: {problem}; remove that line and run `a4 bench`"
+                        " again: it keeps the other lines and asks for this sample only"
+                    )
     except FileNotFoundError:
         return {}
     except OSError as error:
@@ -229,7 +247,7 @@ class RunWriter:
             held.enter_context(hold(self.folder / "lock"))
             _sweep(self.folder)
             if path.exists():
-                self._adopt(Manifest.from_json(path.read_text(encoding="utf-8"), str(path)))
+                self._adopt(_read_manifest(path))
             self.manifest = self.manifest.with_session()
             write_atomically(path, self.manifest.to_json().encode())
             samples = self.folder / "samples.jsonl"
@@ -253,7 +271,11 @@ class RunWriter:
         return len(self.records) - len(self._pending_retry)
 
     def add(self, row: Mapping[str, Any]) -> Record:
-        """Append a line and wait until it is on the disk."""
+        """Append a line and wait until it is on the disk.
+
+        Raises:
+            DataError: it cannot be written.
+        """
         row = redact(row)
         record = Record({key: row[key] for key in SCORED if key in row})
         line = json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
@@ -275,8 +297,6 @@ class RunWriter:
         name = f"images/{image_hash(image)[:20]}.jpg"
         path = self.folder / name
         if not path.exists():
-            import io
-
             small = image.convert("RGB")
             small.thumbnail((PICTURE_SIDE, PICTURE_SIDE), Images.Resampling.LANCZOS, reducing_gap=2.0)
             buffer = io.BytesIO()
@@ -305,6 +325,42 @@ def write_atomically(path: Path, data: bytes) -> None:
         replace_file(path, data, durable=True)
     except OSError as error:
         raise DataError(f"{str(path)!r} cannot be written: {error}") from error
+
+
+@contextmanager
+def hold(path: Path) -> Generator[None, None, None]:
+    """Hold the lock file `path`; it says who holds it.
+
+    Raises:
+        DataError: another process (or another writer in this one) holds it.
+        OSError: it cannot be opened, or the file system has no locks.
+    """
+    file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        try:
+            _lock(file)
+        except (BlockingIOError, PermissionError) as error:  # POSIX, Windows
+            holder = path.read_text(encoding="utf-8", errors="replace").strip() or "another process"
+            raise DataError(f"{str(path.parent)!r} is being written by {holder}; wait for it, or stop it") from error
+        os.ftruncate(file, 0)
+        os.lseek(file, 0, os.SEEK_SET)
+        os.write(file, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+        yield
+    finally:
+        os.close(file)
+
+
+def _lock(file: int) -> None:
+    """Lock or raise OSError at once."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        os.lseek(file, 1 << 30, os.SEEK_SET)  # beyond the text, so that others can still read who holds it
+        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _repair(path: Path) -> None:
