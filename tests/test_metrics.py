@@ -19,9 +19,11 @@ from a4agent.metrics import (
     PROTOCOLS,
     Row,
     compare,
+    contact_hit,
     intersection_union,
     iou,
     measure,
+    measure_best,
     nearest_neighbour,
     score,
     score_by,
@@ -274,3 +276,24 @@ def test_runs_that_cannot_be_compared() -> None:
         compare({"a": Row(1, 2)}, {"b": Row(1, 2)})
     with pytest.raises(DataError, match="'a' has 5 pixels"):
         compare({"a": Row(1, 9, truth_pixels=5)}, {"a": Row(1, 9, truth_pixels=6)})
+
+
+def test_a_contact_is_the_deepest_point_and_must_lie_in_the_truth() -> None:
+    ring = np.zeros((20, 20), bool)
+    ring[2:18, 2:18] = True
+    ring[5:17, 5:17] = False  # thick at the top and left
+    truth = ring.copy()
+    assert contact_hit(ring, (truth,)) == 1.0, "the middle of the ring would be a hole"
+    assert contact_hit(ring, (~truth,)) == 0.0
+    assert contact_hit(ring, (~truth, truth)) == 1.0, "one of several right masks is enough"
+    assert contact_hit(np.zeros((20, 20), bool), (truth,)) == 0.0
+    assert contact_hit(None, (truth,)) == 0.0
+    assert contact_hit(ring, (np.zeros((20, 20), bool),)) is None
+    assert contact_hit(ring.repeat(3, 0).repeat(2, 1), (truth,)) == 1.0, "in the truth's pixels"
+
+
+def test_the_best_mask_is_named() -> None:
+    prediction = np.eye(4, dtype=bool)
+    row, best = measure_best(prediction, (~prediction, prediction))
+    assert (best, row[:2], row.truth_pixels) == (1, (4, 4), None)
+    assert measure_best(prediction, (prediction,))[0].truth_pixels == 4

@@ -255,3 +255,52 @@ def test_the_live_line_of_a_retry_does_not_begin_at_its_end(monkeypatch: pytest.
     assert display._bar is not None
     console.print(display._bar.get_renderable())
     assert "20/40" in console.file.getvalue()
+
+
+def test_another_threshold_is_read_without_asking(a4: Type, monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("drawn.toml").write_text(Path("drawn.toml").read_text() + '[verifier]\nsignals = ["geometry"]\naccept = 0.9\n')
+    out = a4(*BENCH)[1]
+    assert "accepted from 0.9" in out
+    assert "AUROC" in out
+    (folder,) = Path("runs").iterdir()
+    rows = [json.loads(line) for line in (folder / "samples.jsonl").read_text().splitlines()]
+    rated = [{**row, "confidence": row["confidence"] and 0.1 * i} for i, row in enumerate(rows)]
+    (folder / "samples.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rated))
+    before = (folder / "samples.jsonl").read_bytes()
+    monkeypatch.setattr("a4agent.engine.run", lambda *_, **__: pytest.fail("somebody is asked"))
+
+    code, out, _ = a4(*BENCH, "--accept", "0.0", "--json")
+    assert code == 0
+    low, high = json.loads(out), json.loads(a4(*BENCH, "--accept", "1.0", "--json")[1])
+    assert low["trust"]["accept"] == 0.0
+    assert low["trust"]["coverage"] > high["trust"]["coverage"]
+    assert low["trust"]["auroc"] == high["trust"]["auroc"]
+    assert "abstained" in high["statuses"]
+    assert low["scores"]["giou"] == high["scores"]["giou"], "an abstained guess is scored as it is"
+    assert (folder / "samples.jsonl").read_bytes() == before
+
+
+def test_a_threshold_needs_a_confidence(a4: Type) -> None:
+    a4(*BENCH)
+    code, _, err = a4(*BENCH, "--accept", "0.5")
+    assert code == 2
+    assert "have no confidence; use a profile with a [verifier]" in err.replace("\n", "")
+
+
+def test_categories_and_leaks_are_printed(a4: Type) -> None:
+    out = a4(*BENCH, "--leak", "trained=no")[1]
+    assert out.index("  kind 0  n 4") < out.index("  kind 1  n 3") < out.index("  kind 2  n 3")
+    assert "contact hits" in out
+    assert "trained on this data: no; truth of the test set seen: no" in out
+
+
+def test_calibrate_writes_what_a_profile_reads(a4: Type) -> None:
+    pytest.importorskip("sklearn")
+    pictures.write_folder(Path("more"), 60)
+    Path("drawn.toml").write_text(Path("drawn.toml").read_text() + '[verifier]\nsignals = ["geometry"]\naccept = 0.5\n')
+    a4("bench", "folder", "--data", "more", "--profile", "drawn.toml", "--out", "run")
+    code, out, err = a4("calibrate", "run", "--out", "mine.json")
+    assert code == 0
+    assert "AUROC" in out
+    assert "to use it: --set verifier.calibration=mine.json" in err
+    assert a4(*BENCH, "--set", "verifier.calibration=mine.json", "--out", "again")[1].count("AUROC") == 1

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import layouts
+from a4agent import metrics
 from a4agent.benchmarks.registry import load
 from a4agent.cli.main import main
 from a4agent.imaging.masks import encode_rle
@@ -98,3 +100,40 @@ def test_masks_are_kept_as_a_run_of_that_name(data: Path, tmp_path: Path, capsys
     assert f"kept as a run in {run}" in capsys.readouterr().err
     assert a4("tables", run, "--format", "csv") == 0
     assert "folder,LISA-7B,scored here,33.33" in capsys.readouterr().out
+
+
+def test_kept_masks_are_scored_once(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    layouts.mask(tmp_path / "theirs" / "00000-mug.v1.png", (0, 1, 6, 5))
+    scored: list[object] = []
+    measured = metrics.measure_best
+    monkeypatch.setattr(metrics, "measure_best", lambda *given: scored.append(given) or measured(*given))
+
+    a4("score", "folder", "--predictions", tmp_path / "theirs", "--data", data, "--out", tmp_path / "run")
+
+    assert len(scored) == 3
+
+
+def test_masks_of_another_size_are_named_and_far_ones_refused(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (sample, *_) = load("folder", data)
+    height, width = sample.truth.mask().shape
+    arguments = ("score", "folder", "--predictions", tmp_path / "theirs.json", "--data", data)
+
+    def write(factor: int) -> None:
+        small = np.ones((height * factor, width * factor), bool)
+        (tmp_path / "theirs.json").write_text(json.dumps({sample.id: encode_rle(small)}))
+
+    write(2)
+    assert a4(*arguments) == 1
+    assert f"1 masks were resized to the truth's size: {sample.id}" in capsys.readouterr().err.replace("\n", "")
+    write(5)
+    assert a4(*arguments) == 2
+    said = capsys.readouterr().err.replace("\n", "")
+    assert f"the prediction for '{sample.id}' is {5 * width} x {5 * height}" in said
+    assert "pass --resize" in said
+    assert a4(*arguments, "--resize") == 1
+    assert a4(*arguments, "--resize", "--leak", "memory=no") == 2
+    assert "--leak takes trained, truth or shared" in capsys.readouterr().err

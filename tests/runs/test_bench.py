@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,7 +24,9 @@ from a4agent.runs import scores
 from a4agent.runs.bench import Bench, Selection
 from a4agent.runs.oracle import Oracle
 from a4agent.runs.store import read_run
+from a4agent.stages.signals import Geometry
 from a4agent.stages.spotter import Spotter
+from a4agent.stages.verifier import Verifier
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter
 
 MakeBench = Callable[..., Bench]
@@ -228,3 +231,70 @@ def test_an_empty_benchmark_is_a_run_without_records(bench: MakeBench, data: Pat
     run = bench(benchmark=replace(whole, size=0)).run(pictures.agent())
     assert not run.records
     assert np.isnan(scores.score(run).giou)
+
+
+def test_each_truth_is_read_once(bench: MakeBench, data: Path) -> None:
+    whole = registry.load("folder", data)
+    read: Counter[str] = Counter()
+
+    def counting(index: int) -> Sample:
+        sample = whole[index]
+
+        def load() -> np.ndarray:
+            read[sample.id] += 1
+            return sample.truth.mask()
+
+        return Sample(sample.query, replace(sample.truth, load_mask=load))
+
+    bench(benchmark=replace(whole, sample=counting), oracle="detector").run(pictures.agent())
+    assert set(read.values()) == {1}
+    assert len(read) == 20
+
+
+def test_further_measures_of_a_benchmark_are_kept(bench: MakeBench, data: Path) -> None:
+    benchmark = replace(registry.load("folder", data), measure=lambda sample, answer: {"kld": 0.5, "nss": float("inf")})
+    run = bench(benchmark=benchmark).run(pictures.agent())
+    assert run.records["picture 3"].measures == {"contact": 1.0, "kld": 0.5, "nss": None}
+    assert run.records["picture 0"].measures["contact"] == 0.0, "a failed sample touches nothing"
+    assert run.records["picture 19"].measures["contact"] is None, "there is nothing to touch"
+    means = scores.measures(run)
+    assert means["kld"].value == 0.5
+    assert means["contact"].n == 19
+    assert "nss" not in means
+
+
+def test_what_is_true_changes_no_answer_and_no_confidence(bench: MakeBench, data: Path) -> None:
+    """The same run with noise in place of every true mask."""
+    whole = registry.load("folder", data)
+
+    def noisy(index: int) -> Sample:
+        sample = whole[index]
+        noise = np.random.default_rng(index).random((pictures.HEIGHT, pictures.WIDTH)) < 0.5
+        words = {"object_name": "x", "object_part": "y", "category": "z", "affordance": "w", "answer": "v"}
+        return Sample(sample.query, replace(sample.truth, load_mask=lambda: noise, **words))
+
+    def verified() -> A4Agent:
+        agent = pictures.agent()
+        return A4Agent(agent.dreamer, agent.thinker, agent.spotter, verifier=Verifier((Geometry(),), accept=0.9))
+
+    true = bench("true").run(verified())
+    noise = bench("noise", benchmark=replace(whole, sample=noisy, digest="noise")).run(verified())
+    of_truth = {"intersection", "union", "iou", "truth", "truth_pixels", "measures", "category", "tags"}
+    for id, record in true.records.items():
+        rows = [{k: v for k, v in r.row.items() if k not in of_truth} for r in (record, noise.records[id])]
+        for row in rows:
+            row["trace"] = [{**step, "seconds": 0} for step in row["trace"]]
+        assert json.dumps(rows[0]) == json.dumps(rows[1])
+        assert record.truth != noise.records[id].truth
+    assert {record.confidence is None for record in true.records.values()} == {True, False}
+
+
+def test_a_mask_replaced_by_one_of_equal_size_is_other_data(bench: MakeBench, tmp_path: Path) -> None:
+    folder = pictures.write_folder(tmp_path / "mine", 5)
+    bench(benchmark=registry.load("folder", folder)).run(pictures.agent())
+    mask = folder / "3_mask.png"
+    raw = bytearray(mask.read_bytes())
+    raw[-20] ^= 1
+    mask.write_bytes(raw)
+    with pytest.raises(ConfigError, match=r"data\.sha256"):
+        bench(benchmark=registry.load("folder", folder)).run(pictures.agent())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,9 +12,11 @@ import pytest
 import pictures
 from a4agent.benchmarks import registry
 from a4agent.errors import DataError
+from a4agent.imaging.masks import decode_rle, encode_rle
 from a4agent.runs import scores
 from a4agent.runs.bench import Bench, Selection
 from a4agent.runs.compare import compare, losses, to_dict
+from a4agent.runs.store import Record
 
 MakeBench = Callable[..., Bench]
 
@@ -65,3 +68,22 @@ def test_the_json_holds_it_all(bench: MakeBench) -> None:
     found = json.loads(json.dumps(to_dict([compare(*runs)], losses(runs)), allow_nan=False))
     assert found["pairs"][0]["changed"] == ["oracle: nothing there, 'detector' here"]
     assert found["losses"][0][1]["cost"]["value"] == pytest.approx(found["pairs"][0]["differences"]["giou"]["value"])
+
+
+def test_a_truth_of_equal_area_elsewhere_is_another_truth(bench: MakeBench) -> None:
+    run = bench().run(pictures.agent())
+    moved = dict(run.records)
+    truth = decode_rle(moved["picture 4"].truth)
+    moved["picture 4"] = Record({**moved["picture 4"].row, "truth": encode_rle(truth[::-1])})
+    with pytest.raises(DataError, match="the true mask of 'picture 4' is not the same in both"):
+        compare(run, replace(run, records=moved))
+
+
+def test_contact_hits_are_paired(bench: MakeBench) -> None:
+    first, second = bench("a").run(pictures.agent(shift=20)), bench("b").run(pictures.agent())
+    (line,) = (line for line in compare(first, second).lines() if line.name == "contact")
+    assert (line.label, line.percent) == ("contact hits", True)
+    hits = [r.measures["contact"] for r in second.records.values() if r.measures["contact"] is not None]
+    assert line.second == pytest.approx(sum(hits) / len(hits))
+    assert line.change.value == pytest.approx(line.second - line.first)
+    assert line.change.clear

@@ -19,6 +19,8 @@ from a4agent.imaging.masks import decode_rle
 MAX_PIXELS = 100_000_000
 MAX_COORDINATES = 1_000_000
 """In all polygons of one mask."""
+SMALL = 1 << 18
+"""Bytes up to which a file is hashed as a whole: masks are, photographs mostly are not."""
 
 
 def folder(path: str | Path, benchmark: str) -> Path:
@@ -171,12 +173,14 @@ def digest(parts: Iterable[str | bytes]) -> str:
 
 
 def sized(root: Path, relative: str) -> str:
-    """A file's name and size for a digest; a missing or refused one has size -1."""
+    """A file's name and size for a digest, and its content if it is small, as masks are; a missing one has size -1."""
     try:
-        size = confined(root, relative).stat().st_size
+        path = confined(root, relative)
+        size = path.stat().st_size
+        content = hashlib.sha256(path.read_bytes()).hexdigest() if size <= SMALL else ""
     except (OSError, DataError):
-        size = -1
-    return f"{relative} {size}"
+        return f"{relative} -1"
+    return f"{relative} {size} {content}"
 
 
 def row_id(index: int, name: str) -> str:

@@ -177,7 +177,7 @@ def reliability(confidence: np.ndarray, right: np.ndarray, bins: int = BINS) -> 
 
 
 def ece(confidence: np.ndarray, right: np.ndarray, bins: int = BINS) -> float:
-    """The expected calibration error: the mean gap between the bins' confidence and share right. NaN without answers."""
+    """The expected calibration error: the mean gap of the bins' confidence and share right. NaN without answers."""
     if not len(right):
         return math.nan
     place = np.minimum((confidence * bins).astype(int), bins - 1)
