@@ -270,6 +270,57 @@ def save_qwen_image_edit(folder: Path, *, transformer: Any = None, vae: Any = No
     return folder
 
 
+def save_flux2_klein(folder: Path, *, seed: int = 0) -> Path:
+    """A FLUX.2 klein pipeline: a Qwen3 of 28 narrow layers (three are read), 2 blocks, a small VAE."""
+    torch: Any = require("torch", extra="local")
+    d: Any = require("diffusers", extra="local")
+    t: Any = require("transformers", extra="local")
+    torch.manual_seed(seed)
+    ids = write_qwen_tokenizer(folder / "tokenizer")
+    width, latents = 16, 4
+    text = t.Qwen3Config(
+        vocab_size=max(ids.values()) + 1,
+        hidden_size=width,
+        intermediate_size=16,
+        num_hidden_layers=28,
+        num_attention_heads=2,
+        num_key_value_heads=1,
+        head_dim=8,
+    )
+    parts: dict[str, Any] = {
+        "text_encoder": t.Qwen3ForCausalLM(text),
+        "transformer": d.Flux2Transformer2DModel(
+            in_channels=4 * latents,
+            num_layers=1,
+            num_single_layers=1,
+            attention_head_dim=16,
+            num_attention_heads=2,
+            joint_attention_dim=3 * width,
+            timestep_guidance_channels=16,
+            axes_dims_rope=(4, 4, 4, 4),
+            guidance_embeds=False,
+        ),
+        "vae": d.AutoencoderKLFlux2(
+            down_block_types=("DownEncoderBlock2D", "DownEncoderBlock2D"),
+            up_block_types=("UpDecoderBlock2D", "UpDecoderBlock2D"),
+            block_out_channels=(8, 8),
+            layers_per_block=1,
+            latent_channels=latents,
+            norm_num_groups=4,
+            sample_size=32,
+        ),
+        "scheduler": d.FlowMatchEulerDiscreteScheduler(use_dynamic_shifting=True),
+    }
+    index = {"_class_name": "Flux2KleinPipeline", "_diffusers_version": d.__version__, "is_distilled": True}
+    index |= {name: ["diffusers", type(part).__name__] for name, part in parts.items() if name != "text_encoder"}
+    index["text_encoder"] = ["transformers", "Qwen3ForCausalLM"]
+    index["tokenizer"] = ["transformers", "Qwen2Tokenizer"]
+    for name, part in parts.items():
+        part.save_pretrained(folder / name)
+    (folder / "model_index.json").write_text(json.dumps(index), "utf-8")
+    return folder
+
+
 def _save_qwen_model(folder: Path, config: Any, ids: dict[str, int], seed: int) -> Path:
     t: Any = require("transformers", extra="local")
     config = config or t.Qwen2_5_VLConfig(

@@ -204,7 +204,7 @@ def test_mistakes_are_named(tiny_qwen_image_edit, tiny_sam2, tmp_path, monkeypat
         create(device="spread")
     with pytest.raises(ModelFilesError, match="there is no file"):
         create(lora=str(tmp_path / "lora.safetensors"))
-    with pytest.raises(ModelFilesError, match="'QwenImageEditPlusPipeline' is needed"):
+    with pytest.raises(ModelFilesError, match=r"'QwenImageEditPlusPipeline' or .* is needed"):
         create(str(tiny_sam2))
     with pytest.raises(ModelFilesError, match="a4 models pull Qwen/Qwen-Image-Edit-2509"):
         create("Qwen/Qwen-Image-Edit-2509")
@@ -223,5 +223,40 @@ def test_a_lora_of_another_model_is_a_files_error(tiny_qwen_image_edit, tiny_sam
     [("none", "offload = 'model'"), ("model", "offload = 'sequential'"), ("sequential", "quanti")],
 )
 def test_what_needs_less_memory_than_now_is_advised(editor, offload, advice):
-    other = qwen_image_edit.QwenImageEdit("x", editor.checkpoint, editor.placement, settings={}, offload=offload)
+    other = qwen_image_edit.DiffusersEditor(
+        "x",
+        editor.checkpoint,
+        editor.placement,
+        pipeline="QwenImageEditPlusPipeline",
+        settings={},
+        offload=offload,
+    )
     assert other.shrinking[0].startswith(advice)
+
+
+def test_flux2_klein_edits_in_four_steps(tiny_flux2_klein, noise):
+    editor = qwen_image_edit.create(str(tiny_flux2_klein), "editor", output_pixels=64 * 64)
+    steps = []
+    request = EditRequest(
+        noise(96, 64), "Show a hand.", seed=3, on_step=lambda done, total: steps.append((done, total))
+    )
+    first, again = editor.edit([request, request])
+    assert steps[:4] == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert first.image.size == qwen_image_edit.output_size((96, 64), 64 * 64)
+    assert first.image.tobytes() == again.image.tobytes()
+    other = editor.edit([EditRequest(noise(96, 64), "Show a hand.", seed=4)])[0]
+    assert other.image.tobytes() != first.image.tobytes()
+    assert editor.fingerprint()["settings"]["guidance_scale"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"), [("true_cfg_scale", 4.0), ("negative_prompt", "blurry"), ("lightning", 4)]
+)
+def test_a_setting_that_the_pipeline_does_not_take_is_named(tiny_flux2_klein, setting, value):
+    with pytest.raises(ConfigError, match=f"a Flux2KleinPipeline, which takes no '{setting}'"):
+        qwen_image_edit.create(str(tiny_flux2_klein), "editor", **{setting: value})
+
+
+def test_qwens_editor_takes_no_guidance_scale(tiny_qwen_image_edit):
+    with pytest.raises(ConfigError, match="takes no 'guidance_scale'"):
+        qwen_image_edit.create(str(tiny_qwen_image_edit), "editor", guidance_scale=2.5)

@@ -1,17 +1,22 @@
-"""`qwen-image-edit:NAME_OR_FOLDER`: Qwen-Image-Edit-2509 or 2511 in this process, through diffusers.
+"""`diffusers:NAME_OR_FOLDER`: an image editor in this process. `qwen-image-edit:` is the same provider.
 
     create("Qwen/Qwen-Image-Edit-2509", "editor").edit([EditRequest(image=photo, prompt="Show a hand gripping ...")])
     create("Qwen/Qwen-Image-Edit-2509", "editor", lightning=4)     # 4 forward passes instead of 60
+    create("black-forest-labs/FLUX.2-klein-4B", "editor")          # 4 steps, about 16 GB in bfloat16
 
-The defaults are the settings of the A4-Agent authors: 30 steps, true CFG 4.0, negative prompt " ", seed 0 (which
-comes with the request). The weights are about 58 GB in bfloat16: see `offload` and `quantisation`.
+The kind of pipeline is read from the folder's model_index.json; `PIPELINES` says what each takes. The defaults for
+Qwen-Image-Edit are the settings of the A4-Agent authors: 30 steps, true CFG 4.0, negative prompt " ", seed 0 (which
+comes with the request). Its weights are about 58 GB in bfloat16. Without offload they are read part by part straight
+onto the accelerator; with offload they lie in main memory, where there has to be room for them.
 """
 
 from __future__ import annotations
 
 import inspect
+import json
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from a4agent.errors import A4Error, ConfigError, ModelFilesError, ResourceError, UnknownNameError, require
@@ -29,7 +34,25 @@ from a4agent.experts.local.checkpoints import Checkpoint, digest_of, find_checkp
 from a4agent.experts.local.generation import load_processor
 from a4agent.protocols import EditAnswer, EditRequest, Role
 
-STEPS, TRUE_CFG_SCALE, NEGATIVE_PROMPT = 30, 4.0, " "
+
+@dataclass(frozen=True)
+class PipelineKind:
+    """What a kind of pipeline takes, and its defaults. `scale` names its guidance."""
+
+    steps: int
+    scale: str
+    scale_value: float
+    negative_prompt: str | None = None
+    processor: str | None = None
+    lightning: bool = False
+
+
+PIPELINES = {
+    "QwenImageEditPlusPipeline": PipelineKind(30, "true_cfg_scale", 4.0, " ", "Qwen2VLProcessor", True),
+    "QwenImage21Pipeline": PipelineKind(40, "true_cfg_scale", 1.0, " "),
+    "Flux2KleinPipeline": PipelineKind(4, "guidance_scale", 1.0),
+}
+"""Pipelines of diffusers that edit a picture, with the defaults of the authors (Qwen) or of the model's card."""
 OFFLOADS = {"none": ("offload = 'model'",), "model": ("offload = 'sequential'",), "sequential": ()}
 """What may be offloaded, and the setting that needs still less memory."""
 QUANTISED_PARTS = ["transformer", "text_encoder"]
@@ -67,10 +90,11 @@ def create(
     lora: str | None = None,
     steps: int | None = None,
     true_cfg_scale: float | None = None,
-    negative_prompt: str = NEGATIVE_PROMPT,
+    guidance_scale: float | None = None,
+    negative_prompt: str | None = None,
     output_pixels: int = 1024 * 1024,
-) -> QwenImageEdit:
-    """A Qwen-Image-Edit pipeline.
+) -> DiffusersEditor:
+    """An image editor of diffusers.
 
     Args:
         model: a folder, or a name on the hub.
@@ -82,14 +106,15 @@ def create(
         offload: "none"; "model" keeps one part at a time on the accelerator; "sequential" one layer (slow).
         lightning: 0, or 4 or 8 steps with the distilled LoRA of `model`.
         lora: the LoRA's file, on this disk or as OWNER/NAME/PATH on the hub, instead of Lightning's own.
-        steps: denoising steps; 30, or what `lightning` says.
-        true_cfg_scale: weight of the negative prompt; 4.0, or 1.0 (none, half the work) with `lightning`.
-        negative_prompt: what to lead away from.
+        steps: denoising steps; the pipeline's default, or what `lightning` says.
+        true_cfg_scale: Qwen: weight of the negative prompt; 1.0 (none, half the work) with `lightning`.
+        guidance_scale: FLUX.2: weight of the prompt; the distilled models ignore it.
+        negative_prompt: Qwen: what to lead away from.
         output_pixels: area of the edited picture, which keeps the proportions; less is faster.
 
     Raises:
         ModelFilesError: no such checkpoint or LoRA, or the hub cannot be reached.
-        ConfigError: a setting has a value it does not take.
+        ConfigError: a setting has a value it does not take, or the pipeline has no such setting.
     """
     placement = place(device, dtype, "auto", quantisation)
     if placement.device == SPREAD:
@@ -104,32 +129,46 @@ def create(
         raise ConfigError(f"lightning is 0 (off), 4 or 8 steps, not {lightning!r}")
     if (steps is not None and steps < 1) or output_pixels < 32 * 32:
         raise ConfigError(f"steps ({steps!r}) is at least 1, and output_pixels ({output_pixels!r}) at least 1024")
-    checkpoint = find_checkpoint(model, kinds=("QwenImageEditPlusPipeline",), revision=revision)
+    checkpoint = find_checkpoint(model, kinds=tuple(PIPELINES), revision=revision)
+    pipeline = json.loads((checkpoint.folder / "model_index.json").read_text("utf-8"))["_class_name"]
+    kind = PIPELINES[pipeline]
+    scales = {"true_cfg_scale": true_cfg_scale, "guidance_scale": guidance_scale}
+    given: dict[str, Any] = {**scales, "negative_prompt": negative_prompt, "lightning": lightning or None}
+    known = {
+        kind.scale,
+        *(["negative_prompt"] if kind.negative_prompt else []),
+        *(["lightning"] if kind.lightning else []),
+    }
+    for name, value in given.items():
+        if value is not None and name not in known:
+            raise ConfigError(f"{model!r} is a {pipeline}, which takes no {name!r}; remove that setting of the editor")
     if lightning and lora is None:
         if model not in LIGHTNING_LORAS:
             raise ConfigError(f"there is no Lightning LoRA known for {model!r}: name its file with the setting lora")
         lora = LIGHTNING_LORAS[model].format(steps=lightning)
     lora_file = find_file(lora) if lora else None
-    return QwenImageEdit(
-        f"qwen-image-edit:{model}",
+    scale = scales[kind.scale]
+    return DiffusersEditor(
+        f"qwen-image-edit:{model}" if kind.lightning else f"diffusers:{model}",
         checkpoint,
         placement,
+        pipeline=pipeline,
         offload=offload,
         lora=str(lora_file) if lora_file else None,
         settings={
             "lightning": lightning,
             "lora": lora,
             "lora_digest": digest_of(lora_file) if lora_file else None,
-            "steps": steps or lightning or STEPS,
-            "true_cfg_scale": (1.0 if lightning else TRUE_CFG_SCALE) if true_cfg_scale is None else true_cfg_scale,
-            "negative_prompt": negative_prompt,
+            "steps": steps or lightning or kind.steps,
+            kind.scale: (1.0 if lightning else kind.scale_value) if scale is None else scale,
+            "negative_prompt": kind.negative_prompt if negative_prompt is None else negative_prompt,
             "output_pixels": output_pixels,
         },
     )
 
 
-class QwenImageEdit(LocalExpert):
-    """Edits one picture at a time: the pipeline takes no batches of prompts."""
+class DiffusersEditor(LocalExpert):
+    """Edits one picture at a time: the pipelines take no batches of pictures with prompts."""
 
     def __init__(
         self,
@@ -137,12 +176,14 @@ class QwenImageEdit(LocalExpert):
         checkpoint: Checkpoint,
         placement: Placement,
         *,
+        pipeline: str,
         settings: dict[str, Any],
         offload: str = "none",
         lora: str | None = None,
     ) -> None:
         super().__init__(id, checkpoint, placement, settings=settings, max_batch=1)
         self.shrinking = (*OFFLOADS[offload], QUANTISE)
+        self._kind, self._class = PIPELINES[pipeline], pipeline
         self._offload = offload
         self._lora = lora
         self._pipeline: Any = None
@@ -163,9 +204,12 @@ class QwenImageEdit(LocalExpert):
         options: dict[str, Any] = {"dtype": self.placement.torch_dtype, "local_files_only": True}
         if self.placement.quantisation != "none":
             options["quantization_config"] = _quantisation(diffusers, self.placement)
-        options["processor"] = load_processor(folder / "processor", "Qwen2VLProcessor")
+        if self._kind.processor:
+            options["processor"] = load_processor(folder / "processor", self._kind.processor)
+        if self._is_direct:
+            options["device_map"] = self.placement.device.partition(":")[0]  # each part as it is read
         try:
-            pipeline = diffusers.QwenImageEditPlusPipeline.from_pretrained(str(folder), **options)
+            pipeline = getattr(diffusers, self._class).from_pretrained(str(folder), **options)
             if self.settings["lightning"]:
                 pipeline.scheduler = diffusers.FlowMatchEulerDiscreteScheduler.from_config(LIGHTNING_SCHEDULER)
             if self._lora:
@@ -176,7 +220,7 @@ class QwenImageEdit(LocalExpert):
                 pipeline.enable_model_cpu_offload(device=self.placement.device)
             elif self._offload == "sequential":
                 pipeline.enable_sequential_cpu_offload(device=self.placement.device)
-            else:
+            elif not self._is_direct:
                 pipeline.to(self.placement.device)
         except Exception as error:
             if is_out_of_memory(error):
@@ -187,6 +231,11 @@ class QwenImageEdit(LocalExpert):
     def _unload(self) -> None:
         self._pipeline = None
 
+    @property
+    def _is_direct(self) -> bool:
+        """Whether the weights go part by part onto the accelerator, without being in main memory all at once."""
+        return self._offload == "none" and self.placement.device not in ("cpu", "mps")
+
     def _check_fits(self) -> None:
         folder = self.checkpoint.folder
         if self._offload == "none":
@@ -194,6 +243,9 @@ class QwenImageEdit(LocalExpert):
         elif self._offload == "model":
             parts = [parameter_count(part) for part in folder.iterdir() if part.is_dir()]
             check_fits(folder, self.placement, largest_part=max(parts) / sum(parts), shrinking=self.shrinking)
+        if self._offload != "none":
+            in_main_memory = replace(self.placement, device="cpu")
+            check_fits(folder, in_main_memory, shrinking=(QUANTISE,))
 
     def _edit(self, requests: Sequence[EditRequest]) -> list[EditAnswer]:
         return [self._edit_one(request) for request in requests]
@@ -201,7 +253,7 @@ class QwenImageEdit(LocalExpert):
     def _edit_one(self, request: EditRequest) -> EditAnswer:
         torch: Any = require("torch", extra="local")
         watch = Stopwatch()
-        steps, scale = int(self.settings["steps"]), float(self.settings["true_cfg_scale"])
+        steps, scale = int(self.settings["steps"]), float(self.settings[self._kind.scale])
         width, height = output_size(request.image.size, int(self.settings["output_pixels"]))
 
         def on_step_end(pipeline: Any, step: int, timestep: Any, tensors: dict[str, Any]) -> dict[str, Any]:
@@ -209,11 +261,18 @@ class QwenImageEdit(LocalExpert):
                 request.on_step(step + 1, steps)
             return tensors
 
+        guidance: dict[str, Any] = {self._kind.scale: scale}
+        if self._kind.negative_prompt is not None and scale > 1:
+            guidance["negative_prompt"] = self.settings["negative_prompt"]
         picture = self._pipeline(
             image=[request.image],
             prompt=request.prompt,
-            negative_prompt=self.settings["negative_prompt"] if scale > 1 else None,
-            true_cfg_scale=scale,
+            **(
+                {"negative_prompt": self.settings["negative_prompt"]}
+                if self._kind.negative_prompt and scale > 1
+                else {}
+            ),
+            **{self._kind.scale: scale},
             num_inference_steps=steps,
             width=width,
             height=height,
