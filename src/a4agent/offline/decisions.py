@@ -26,6 +26,7 @@ from a4agent.offline.wording import Decision, decision, held, listed, noun_of, r
 _FACTS = re.compile(
     r"(?:who|whose|whom|why|when (?:did|do|does|is|was|were|will)|what (?:time|day|year|is the (?!handle|part)))\b"
 )
+_PART_FOR = re.compile(r"\bparts? (?:.* )?(?:could|for|used|suitable|meant)\b")
 _UNDERGONE = frozenset(["climb", "drink", "kick", "lie", "play", "ride", "sit", "throw", "wear", "contain"])
 """Actions that a named thing undergoes itself: nobody reaches for a ball to kick a door."""
 
@@ -296,9 +297,12 @@ class _Decider(Situation):
         goal = next((n for n in self.reading.nouns if n.pronoun and n.role == "goal"), None)
         if unknown or any(n.thing and n.role != "place" for n in self.reading.nouns):
             return None
-        if not self.seen and self._reached_for():
+        if not self.seen and (self._reached_for() or self._asks_for_a_tool):
             return None
-        bare = not self.reading.nouns and len(self.reading.words) == 1
+        verbs = self.reading.verbs
+        bare = (
+            not self.reading.nouns and len(self.reading.words) == 1 and bool(verbs) and verbs[0].actions[0] in BY_HAND
+        )
         points = (
             bare
             or emits
@@ -307,6 +311,9 @@ class _Decider(Situation):
         )
         if not points:
             return None
+        sense = [action for word in self.reading.words for action in self._sense(word)]
+        if sense and not verbs:  # "where is it sharp?"
+            return self._of_anything(sense[0], sense[0])
         for verb in self.reading.verbs:
             if verb.actions[0] == "grasp" and len(self.reading.verbs) > 1 and verb is self.reading.verbs[0]:
                 later = self.reading.verbs[1]
@@ -331,7 +338,7 @@ class _Decider(Situation):
         usual = self.know.usual_part.get(stem(spoken)) or self.know.usual_part.get(stem(action))
         noun = next((n for n in self.reading.nouns if n.pronoun), Noun("object", 0, 0, pronoun=True))
         name = " ".join((*noun.qualifiers, "object"))
-        if usual and not re.search(r"\bpart\b.*\bcould\b", self.reading.text):
+        if usual and not _PART_FOR.search(self.reading.text):
             return Decision(
                 name, usual, f"No thing is named; most things have {with_article(usual)} to {spoken}.", action, False
             )

@@ -80,11 +80,12 @@ class Thing:
     kind: str
 
     def part_named(self, name: str) -> Part | None:
-        """The part of this name or with this other name."""
+        """The part of this name or with this other name, in the singular or the plural."""
         for part in self.parts:
             if name == part.name or name in part.also:
                 return part
-        return None
+        key = stem(name)
+        return next((part for part in self.parts if key in [stem(known) for known in (part.name, *part.also)]), None)
 
     def part_for(self, action: str) -> Part | None:
         """The first part that affords `action`."""

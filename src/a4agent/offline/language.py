@@ -31,9 +31,9 @@ _ENABLES = word_set("affords afford affording allows enables permits")
 _MODALS = word_set("could would should must might will i you we they")
 
 _HOLD = re.compile(
-    r"\b(?:where|which|what|how)\b[^?.!]*\b(?:hold|held|holding|grip|grasp|grasped|grab|pick|take|carry|lift|hand|hands"
-    r"|finger|fingers|palm)\b"
-    r"|\b(?:hand|hands|fingers?|palm|grip|grasp|hold)\b[^?.!]*\b(?:go|goes|belongs?|rests?|wraps?|be placed|be put)\b"
+    r"\b(?:where|which|what|how)\b[^?.!]*\b(?:hold|held|holding|grip|gripped|grasp|grasped|grab|grabbed|pick|take|carry"
+    r"|lift|hands?|fingers?|thumb|palm)\b"
+    r"|\b(?:hands?|fingers?|thumb|palm|grip|grasp|hold)\b[^?.!]*\b(?:goe?s?|belongs?|rests?|wraps?|be placed|be put)\b"
 )
 _WHERE_TO_PUT = re.compile(
     r"\bwhere (?:do|does|should|could|would|will|is|are|to)(?: \w+){0,2} (?:pour|put|fill|store|keep|insert|stow)\b"
@@ -101,12 +101,27 @@ def read(instruction: str) -> Reading | None:
         things = [noun.owner or noun for noun in unwanted if noun.thing or (noun.owner and noun.owner.thing)]
         verbs, named = out_verbs, [replace(noun, role="object") for noun in things[:1]]
         unwanted = [noun for noun in unwanted if noun.part]
+        if not things:  # "avoid the blade"
+            verbs = [Verb("hold", "hold", ("grasp",), 0, 0)]
+            named = [Noun("object", 0, 0, definite=True, pronoun=True)]
         words, out_verbs = out, []
+    named = _resolved(named, unwanted)
     holding = bool(_HOLD.search(main)) or ("without" in ruled_out and bool(_SAFELY.search(ruled_out)))
     actions = tuple(action for verb in out_verbs for action in verb.actions[:1])
     return Reading(
         text, (*words, *after), (*verbs, *later), tuple(named), tuple(unwanted), actions + _adjectives(out), holding
     )
+
+
+def _resolved(named: Sequence[Noun], unwanted: Sequence[Noun]) -> list[Noun]:
+    """The nouns with "the green one" replaced by what was named before: "not the red button, the green one"."""
+    found: list[Noun] = []
+    for noun in named:
+        before = [n for n in (*unwanted, *found) if n.thing or n.part]
+        if noun.pronoun and noun.qualifiers and before:
+            noun = replace(before[-1], qualifiers=noun.qualifiers, role=noun.role, start=noun.start, end=noun.end)
+        found.append(noun)
+    return found
 
 
 def tokens(text: str) -> list[str]:
@@ -186,4 +201,4 @@ def _is_verb(words: Sequence[str], mention: Mention[tuple[str, ...]], know: Know
         return after not in MARKS or not noun
     if before in BEFORE_VERBS:
         return not noun or (after not in MARKS | {"of", "is", "are", "has"} and stem(after) not in know.part_index)
-    return not noun
+    return not noun or after in DETERMINERS  # "the pliers grip the wire"

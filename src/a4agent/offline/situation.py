@@ -81,7 +81,9 @@ class Situation:
         banned |= {
             part.name for part in thing.parts if ruled_out_actions & set(part.affords) and "grasp" not in part.affords
         }
-        part = next((p for p in thing.parts if action in p.affords and p.name not in banned), None)
+        able = [p for p in thing.parts if action in p.affords and p.name not in banned]
+        purposes = {one for verb in self.reading.verbs if verb.purpose for one in verb.actions}
+        part = next((p for p in able if purposes & set(p.affords)), able[0] if able else None)
         if part or action != "grasp" or not thing.part_for("grasp"):
             return part
         left = [p for p in thing.parts if p.name not in banned and not {"cut", "spear"} & set(p.affords)]
@@ -163,6 +165,12 @@ class Situation:
         """The actions of the verbs; a relative clause's before those that only fetch ("find", "use")."""
         asked = [verb for verb in self.reading.verbs if verb.text in ("holds", "keeps")]
         return [*(["contain"] if asked else []), *(action for verb in self.reading.verbs for action in verb.actions)]
+
+    @property
+    def _asks_for_a_tool(self) -> bool:
+        """Whether a purpose that needs a tool is all there is: "what do I pull to flush?"."""
+        aims = {action for verb in self.reading.verbs if verb.purpose for action in verb.actions}
+        return not self.reading.nouns and bool(aims & set(self.know.default_index)) and not aims & BY_HAND
 
     def _spoken(self, action: str) -> str:
         """The speaker's own verb for an action."""
