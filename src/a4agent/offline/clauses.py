@@ -74,8 +74,8 @@ _GIVEN = re.compile(
 
 _RULED_OUT = re.compile(
     r"\b(without|instead of|rather than|but not|and not|not|never|neither|do not|avoid(?:ing)?|except(?: for)?"
-    r"|excluding|other than|anything but|anywhere but|apart from|(?:keep|stay|leave)(?: \w+){0,2} (?:off|away from|clear of))\b"
-    r"[^,;:.!?]*"
+    r"|excluding|other than|anything but|anywhere but|apart from"
+    r"|(?:keep|stay|leave)(?: \w+){0,2} (?:off|away from|clear of))\b[^,;:.!?]*"
 )
 _RULED_IN_AGAIN = re.compile(r"\b(?:and|then|but(?! not)|when|while|as|if|so that|to (?=\w+ ?$))\b.*$")
 _PURPOSE = re.compile(
