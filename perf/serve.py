@@ -112,13 +112,13 @@ def counted(address: str) -> Counter[int]:
 def serve(profile: str) -> None:
     """The server's process: prints its URL and serves until its input ends."""
     from a4agent.agent import A4Agent
-    from a4agent.serve import run
+    from a4agent.serve import http_server
+    from a4agent.serve.admission import Limits
     from a4agent.serve.api import create_app
-    from a4agent.serve.limits import Limits
     from a4agent.testing import scripted_agent
 
     agent = scripted_agent(seconds=0.01) if profile == "scripted" else A4Agent.from_profile(profile)
-    with run.in_thread(create_app([agent], limits=Limits(queue=8))) as url:
+    with http_server.in_thread(create_app([agent], limits=Limits(queue=8))) as url:
         print(url, flush=True)
         forget = threading.Event()
         threading.Thread(target=lambda: (sys.stdin.read(), forget.set())).start()

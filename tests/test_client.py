@@ -24,9 +24,9 @@ from a4agent import client
 from a4agent import types as core
 from a4agent.client import Client, ServerError
 from a4agent.imaging.masks import encode_rle
-from a4agent.serve import run
+from a4agent.serve import http_server
 from a4agent.serve.api import create_app
-from a4agent.serve.limits import Limits
+from a4agent.serve.admission import Limits
 from a4agent.testing import scripted_agent
 
 FILE = Path(client.__file__)
@@ -36,7 +36,7 @@ TOKEN = "a-token-of-some-length"
 @pytest.fixture(scope="module")
 def url() -> Iterator[str]:
     app = create_app([scripted_agent(dream=True)], token=TOKEN, limits=Limits(queue=32))
-    with run.in_thread(app) as url:
+    with http_server.in_thread(app) as url:
         yield url
 
 
@@ -167,7 +167,7 @@ def test_a_wrong_token_is_not_tried_again(url: str, photo: bytes) -> None:
 
 def test_a_busy_server_is_asked_again_when_it_says(photo: bytes) -> None:
     app = create_app([scripted_agent(seconds=0.2)], limits=Limits(queue=0))
-    with run.in_thread(app) as url:
+    with http_server.in_thread(app) as url:
         found: list[client.Affordance] = []
         threads = [threading.Thread(target=lambda: found.append(Client(url).predict(photo, "open"))) for _ in range(2)]
         for thread in threads:

@@ -189,7 +189,7 @@ def test_ten_planted_secrets_are_in_nothing_that_is_written(
     capfd: pytest.CaptureFixture[str],
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    from a4agent.serve import run
+    from a4agent.serve import http_server
     from a4agent.serve.api import create_app
 
     def reply(call: Call) -> Reply:
@@ -221,7 +221,7 @@ def test_ten_planted_secrets_are_in_nothing_that_is_written(
     answers: list[str] = []
     overrides = {"spotter.detector.token": "PLANTED-9-flag", "thinker.vlm.extra.secret": "PLANTED-10-flag"}
     agent = A4Agent.from_settings(load_settings("p.toml", overrides))
-    with agent, run.in_thread(create_app([agent], profile="p.toml")) as url:
+    with agent, http_server.in_thread(create_app([agent], profile="p.toml")) as url:
         for path in ("/readyz", "/healthz", "/metrics", "/v1/affordances"):
             connection = http.client.HTTPConnection(urlsplit(url).netloc, timeout=30)
             body = b"" if path != "/v1/affordances" else (tmp_path / "data" / "1.png").read_bytes()

@@ -10,7 +10,7 @@
 
 A picture is a path, the bytes of an image file, or a uint8 array (H, W, 3) in RGB, numpy's or another's. Answers have
 the shape of `a4agent.Affordance`: pixels of the upright picture, x right, y down; boxes half-open. A busy server is
-asked again after the time it names, a broken connection after a moment; what cannot be answered is a `ServerError`.
+asked again after the time it names, a broken connection after a moment; other failures raise `ServerError`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ __all__ = ["Affordance", "Client", "Mask", "Region", "ServerError", "Target"]
 
 
 class ServerError(Exception):
-    """The server did not answer the question.
+    """The server refused the question, or did not answer it.
 
     `status` is the HTTP status, 0 if there was none; `retryable` says whether the same question may succeed later.
     """
@@ -135,7 +135,12 @@ class Region:
 
 @dataclass(frozen=True)
 class Affordance:
-    """The answer. `status` is "ok", "empty" (nothing found), "invalid" (a model's answer was unusable) or "error"."""
+    """The answer.
+
+    `status` is "ok", "abstained" (the mask is a guess: not certain enough), "empty" (nothing found), "invalid" (a
+    model's answer was unusable) or "error". `confidence` is the probability (0 to 1) that the mask is right, None where
+    the server has no Verifier; `checks` are what it looked at, dicts with "name", "value", "note" and "blame".
+    """
 
     instruction: str
     size_wh: tuple[int, int]
@@ -146,6 +151,8 @@ class Affordance:
     mask: Mask
     trace: tuple[dict[str, Any], ...] = ()
     id: str = ""
+    confidence: float | None = None
+    checks: tuple[dict[str, Any], ...] = ()
     json: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -173,22 +180,24 @@ class Affordance:
             status=data["status"],
             error=data["error"],
             target=_target(target) if target else None,
-            regions=tuple(_region(row) for row in data["regions"]),
+            regions=tuple(_region(row, data["mask"]) for row in data["regions"]),
             mask=_mask(data["mask"]),
             trace=tuple(data["trace"]),
             id=data.get("id", ""),
+            confidence=data["confidence"],
+            checks=tuple(data["checks"]),
             json=data,
         )
 
 
 class Client:
-    """Calls one server. Not shared between threads: give each its own.
+    """Calls one server. Not thread-safe: give each thread its own.
 
     Args:
         url: where the server is; http or https.
         token: its bearer token, if it has one.
         timeout: seconds for one answer.
-        retries: how often a busy server (503) or a broken connection is tried again.
+        retries: how often to try again after a busy server (503) or a broken connection.
         ssl_context: for https, to trust other certificates than the system's.
     """
 
@@ -202,7 +211,7 @@ class Client:
     ) -> None:
         parts = urlsplit(url)
         if parts.scheme not in ("http", "https") or not parts.hostname or parts.port == 0:  # a bad port is a ValueError
-            raise ValueError(f"a server is written like http://127.0.0.1:8000, not {url!r}")
+            raise ValueError(f"{url!r} is not a server's URL; use one like 'http://127.0.0.1:8000'")
         self.url = url.rstrip("/")
         self.timeout = timeout
         self.retries = retries
@@ -362,12 +371,13 @@ def _target(row: dict[str, Any]) -> Target:
     return Target(row["task"], row["object_name"], row["object_part"], row.get("thinking", ""))
 
 
-def _region(row: dict[str, Any]) -> Region:
+def _region(row: dict[str, Any], union: dict[str, Any]) -> Region:
+    """A region; the mask of a single one is sent as the answer's."""
     box = row["box_xyxy"]
     return Region(
         box_xyxy=None if box is None else (box[0], box[1], box[2], box[3]),
         points_xy=tuple((point[0], point[1]) for point in row["points_xy"]),
-        mask=_mask(row["mask"]),
+        mask=_mask(row["mask"] or union),
         score=row["score"],
     )
 
@@ -384,7 +394,7 @@ def _sentence(text: str, status: int) -> str:
 
 
 def _seconds(text: str | None) -> float | None:
-    """The pause that a Retry-After asks for; None for a date, or what is no number of seconds."""
+    """The pause that a Retry-After asks for; None for a date or an invalid number."""
     try:
         seconds = float(text or "")
     except ValueError:

@@ -294,7 +294,10 @@ class Affordance:
             raise DataError(f"an affordance of schema {data.get('schema')!r}; this version reads {SCHEMA}")
         try:
             width, height = data["size_wh"]
-            regions = tuple(_region(row) for row in data["regions"])
+            rows = data["regions"]
+            if len(rows) == 1 and rows[0]["mask"] is None:  # as a server sends it
+                rows = [{**rows[0], "mask": data["mask"]}]
+            regions = tuple(_region(row) for row in rows)
             if any(region.mask.shape != (height, width) for region in regions):
                 raise ValueError(f"a mask that is not {height} x {width}")
             imagined = data["imagination"]

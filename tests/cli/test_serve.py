@@ -15,11 +15,11 @@ import pytest
 from a4agent.cli.serve import _agents
 from a4agent.client import Affordance, Client, ServerError
 from a4agent.errors import ConfigError
-from a4agent.serve.app import HERE
+from a4agent.serve import EXAMPLES_FOLDER
 from a4agent.testing import scripted_agent
 
 A4 = [sys.executable, "-m", "a4agent.cli.main"]
-PHOTO = HERE / "examples" / "drawer.jpg"
+PHOTO = EXAMPLES_FOLDER / "drawer.jpg"
 TOKEN = "a-token-of-some-length"
 
 

@@ -16,9 +16,9 @@ import pytest
 from PIL import Image
 
 from a4agent.agent import A4Agent
-from a4agent.serve import run
+from a4agent.serve import http_server
+from a4agent.serve.admission import Limits
 from a4agent.serve.api import create_app
-from a4agent.serve.limits import Limits
 from a4agent.testing import scripted_agent
 
 
@@ -71,7 +71,7 @@ def serve() -> Iterator[Callable[..., Caller]]:
             agents = agent if isinstance(agent, list) else [agent or scripted_agent(dream=True)]
             settings.setdefault("limits", Limits(body_bytes=2**20, pixels=1_000_000, seconds=20, upload_seconds=10))
             app = create_app(agents, profile="scripted", **settings)
-            return Caller(stack.enter_context(run.in_thread(app)))
+            return Caller(stack.enter_context(http_server.in_thread(app)))
 
         yield start
 

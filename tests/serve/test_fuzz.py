@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from a4agent.serve.limits import Limits
+from a4agent.serve.admission import Limits
 
 TOKEN = "a-token-of-some-length"
 # A schema cannot say which bytes are a picture, so that most of what it allows is refused, and rightly.

@@ -7,8 +7,7 @@ from concurrent.futures import wait
 
 import pytest
 
-from a4agent.serve.metrics import Metrics
-from a4agent.serve.workers import Cancelled, Job, Workers
+from a4agent.serve.workers import Cancelled, Counters, Job, Workers
 from a4agent.testing import ScriptedVLM, scripted_agent
 
 
@@ -18,7 +17,7 @@ def nobody(name: str, value: object) -> None:
 
 @pytest.fixture
 def workers() -> Iterator[Workers]:
-    workers = Workers([scripted_agent()], Metrics())
+    workers = Workers([scripted_agent()], Counters())
     workers.start()
     yield workers
     workers.close()
@@ -85,7 +84,7 @@ def test_closing_finishes_what_was_submitted_and_closes_each_agent_once() -> Non
             closed.append(1)
 
     agent = scripted_agent().with_experts(lambda expert: Counting([]) if isinstance(expert, ScriptedVLM) else expert)
-    workers = Workers([agent, agent], Metrics())
+    workers = Workers([agent, agent], Counters())
     assert not workers.alive()
     workers.start()
     jobs = [workers.submit(lambda agent, tell: time.sleep(0.01), nobody) for _ in range(10)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -34,6 +35,8 @@ def serve(
     warm_up: Annotated[
         bool, typer.Option(help="Load the models with one prediction before the first request.")
     ] = False,
+    access_log: Annotated[bool, typer.Option(help="Print a line per request on stderr.")] = True,
+    connections: Annotated[int, typer.Option(min=1, help="The most connections at a time.")] = 256,
     sets: common.SetOption = None,
 ) -> None:
     """Serve affordances over HTTP.
@@ -44,24 +47,27 @@ def serve(
         require(module, extra="serve")
     from a4agent.agent import A4Agent
     from a4agent.requirements import check_settings
-    from a4agent.serve import auth, run
+    from a4agent.serve import admission, http_server
+    from a4agent.serve.admission import Limits
     from a4agent.serve.api import create_app
-    from a4agent.serve.limits import Limits
+    from a4agent.serve.http_server import ConnectionLimits
 
-    token = auth.read_token(host, token_file)
+    token = admission.read_token(host, token_file)
     settings = common.settings(profile, sets)
     for missing in check_settings(settings):
         raise ConfigError(f"the profile {settings.name!r} needs {missing.what}: {missing.fix}")
     limits = Limits(max_bytes, max_pixels, queue, seconds, batch=batch)
-    listening = run.bind(host, port)
+    listening = http_server.bind(host, port)
     agent = A4Agent.from_settings(settings)
     if warm_up:
         _warm_up(agent)
     app = create_app(_agents(agent, workers), profile=settings.name, limits=limits, token=token)
     guarded = "with a token" if token else "for this machine only"
-    place = run.url_of(listening)
+    place = http_server.url_of(listening)
     common.say(f"serving the profile {settings.name!r} at {place} {guarded}; Ctrl+C ends")
-    run.run(app, listening, seconds=seconds)
+    if access_log:
+        _print_access_log()
+    http_server.run(app, listening, seconds=seconds, limits=ConnectionLimits(total=connections))
 
 
 def _agents(agent: A4Agent, workers: int) -> list[A4Agent]:
@@ -74,11 +80,23 @@ def _agents(agent: A4Agent, workers: int) -> list[A4Agent]:
     return [agent] * workers
 
 
+def _print_access_log() -> None:
+    from a4agent.serve.admission import access
+    from a4agent.serve.http_server import LogRateLimit
+
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
+    handler.addFilter(LogRateLimit())
+    access.addHandler(handler)
+    access.setLevel(logging.INFO)
+    access.propagate = False
+
+
 def _warm_up(agent: A4Agent) -> None:
-    """Make every stage load what it needs, and say so if one cannot."""
-    from PIL import Image
+    """Load what every stage needs with one prediction on a photo of a drawer, and warn if a stage fails."""
+    from a4agent.serve import EXAMPLES_FOLDER
 
     common.say("loading the models …")
-    answer = agent.predict(Image.new("RGB", (640, 480), "grey"), "open the drawer")
+    answer = agent.predict(EXAMPLES_FOLDER / "drawer.jpg", "open the drawer")
     if answer.status == "error":
         common.warn(f"the first prediction failed: {answer.error}")

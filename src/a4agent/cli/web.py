@@ -29,21 +29,21 @@ def app(
     Beyond loopback, visitors log in as a4 with the token of A4_SERVER_TOKEN as password.
     """
     require("gradio", extra="app")
-    from a4agent.serve import auth, run
-    from a4agent.serve.app import create_page
+    from a4agent.serve import admission, http_server
+    from a4agent.serve.page import create_page
 
-    token = auth.read_token(host)
+    token = admission.read_token(host)
     first = common.settings(profile, sets)
 
     def settings(name: str) -> Settings:
         return first if name == first.name else common.settings(name)
 
-    listening = run.bind(host, port)
+    listening = http_server.bind(host, port)
     page = create_page(settings, profile=first.name, auth=("a4", token) if token else None)
-    url = run.url_of(listening)
+    url = http_server.url_of(listening)
     common.say(f"the page is at {url}; Ctrl+C ends")
     if browser:
         import webbrowser
 
         webbrowser.open(url)
-    run.run(page, listening, seconds=10)
+    http_server.run(page, listening, seconds=10)

@@ -1,4 +1,4 @@
-"""Between HTTP and the workers: questions are read, handed over, and waited for as long as they may take."""
+"""Predictions for HTTP callers: read the questions, queue the work, wait for the answers as long as allowed."""
 
 from __future__ import annotations
 
@@ -15,53 +15,49 @@ from starlette.requests import ClientDisconnect, Request
 from a4agent import engine
 from a4agent.agent import A4Agent
 from a4agent.errors import A4Error
-from a4agent.serve import questions, wire
-from a4agent.serve.limits import Limits, Refused
-from a4agent.serve.metrics import Metrics
-from a4agent.serve.questions import Question, Unusable
+from a4agent.serve import messages
+from a4agent.serve.admission import Limits, Place, Refused
+from a4agent.serve.messages import Question, SampleIn, Unusable
 from a4agent.serve.workers import Tell, Work, Workers
 from a4agent.types import Affordance, Query
 
 KEEP_ALIVE_SECONDS = 15.0
-"""A stream without news says that it is alive, so that proxies keep it open."""
+"""A quiet stream sends a comment this often, so that proxies keep it open."""
 
 
-class Desk:
-    """Between HTTP and the workers: reads questions, hands them over, waits for the answers as long as it may."""
+class Predictions:
+    """Reads questions, hands them to the workers and waits for the answers."""
 
-    def __init__(self, workers: Workers, limits: Limits, metrics: Metrics) -> None:
+    def __init__(self, workers: Workers, limits: Limits) -> None:
         self.workers = workers
         self.limits = limits
-        self.metrics = metrics
-        # One thread decodes, so that no more than one request's pictures are being unpacked at a time.
+        # One thread, so that the pictures of only one request are being decoded at a time.
         self._decoder = ThreadPoolExecutor(1, "a4-decoder")
 
     def close(self) -> None:
         self._decoder.shutdown()
 
     async def read_one(self, request: Request) -> Question:
-        """The question of a form or a JSON body; see `questions` for what is refused."""
+        """The question of a form or a JSON body; see `messages` for what is refused."""
         kind = _content_type(request)
         if kind == "application/json":
-            return await self._in_decoder(questions.from_json, await request.body(), self.limits)
+            return await self._in_decoder(messages.from_json, await request.body(), self.limits)
         if kind != "multipart/form-data":
             raise Refused(415, f"send multipart/form-data or application/json, not {kind or 'a body of no type'}")
         async with request.form(max_files=1, max_fields=8, max_part_size=64 * 1024) as form:
             upload = form.get("image")
             data = await upload.read() if isinstance(upload, UploadFile) else None
             fields = {name: value for name, value in form.items() if name != "image"}
-        return await self._in_decoder(questions.from_form, fields, data, self.limits)
+        return await self._in_decoder(messages.from_form, fields, data, self.limits)
 
-    async def read_batch(self, request: Request) -> list[Question | Unusable]:
+    async def read_batch(self, samples: Sequence[SampleIn]) -> list[Question | Unusable]:
         """The questions of a batch, and what of it cannot be used."""
-        if (kind := _content_type(request)) != "application/json":
-            raise Refused(415, f"send application/json, not {kind or 'a body of no type'}")
-        return await self._in_decoder(questions.batch_from_json, await request.body(), self.limits)
+        return await self._in_decoder(messages.from_samples, samples, self.limits)
 
     def predict(self, agent: A4Agent, question: Question, tell: Tell) -> Affordance:
         """One prediction, on a worker's thread."""
         affordance = agent.predict(question.picture, question.instruction, given=question.given, on_stage=tell)
-        self.metrics.predicted(affordance)
+        self.workers.counters.predicted(affordance)
         return replace(affordance, id=question.id)
 
     def predict_batch(self, agent: A4Agent, asked: Sequence[Question | Unusable], tell: Tell) -> list[Affordance]:
@@ -70,9 +66,9 @@ class Desk:
         queries = [Query(key, one.picture, one.instruction) for key, one in usable.items()]
         found: dict[str, Affordance] = {}
         for query, affordance in engine.run(agent, queries, given=lambda query: usable[query.id].given):
-            self.metrics.predicted(affordance)
+            self.workers.counters.predicted(affordance)
             found[query.id] = affordance
-            tell("", None)  # nothing to tell, but work stops here once the caller has gone
+            tell("", None)  # raises once the caller is gone
         return [
             replace(found[str(number)], id=one.id)
             if isinstance(one, Question)
@@ -81,9 +77,9 @@ class Desk:
         ]
 
     async def answer(self, work: Work, request: Request) -> Any:
-        """The result of the work; it is dropped when the caller goes away."""
+        """The result of the work, which is cancelled when the caller disconnects."""
         gone = asyncio.create_task(_disconnected(request))
-        async with aclosing(self._events(work)) as events:
+        async with aclosing(self._events(work, request.scope["place"])) as events:
             try:
                 while True:
                     coming = asyncio.ensure_future(anext(events))
@@ -98,19 +94,19 @@ class Desk:
             finally:
                 gone.cancel()
 
-    async def stream(self, work: Work) -> AsyncGenerator[bytes]:
-        """The same as server-sent events: queued, then each stage, at last `affordance` or `error`."""
+    async def stream(self, work: Work, place: Place) -> AsyncGenerator[bytes]:
+        """The same as server-sent events: `queued`, each stage, then `affordance` or `error`."""
         try:
-            async with aclosing(self._events(work)) as events:
+            async with aclosing(self._events(work, place)) as events:
                 async for name, data in events:
-                    yield b": still working\n\n" if name == "" else wire.event(name, data)
+                    yield b": still working\n\n" if name == "" else messages.event(name, data)
         except Exception as error:
-            refused = blame(error)
-            yield wire.event("error", {**refused.body, "code": refused.code, "retry_after": refused.retry_after})
+            refused = refusal(error)
+            yield messages.event("error", {**refused.body, "code": refused.code, "retry_after": refused.retry_after})
             if refused.code == 500:
                 raise
 
-    async def _events(self, work: Work) -> AsyncGenerator[tuple[str, Any]]:
+    async def _events(self, work: Work, place: Place) -> AsyncGenerator[tuple[str, Any]]:
         loop = asyncio.get_running_loop()
         happened: asyncio.Queue[tuple[str, Any]] = asyncio.Queue()
 
@@ -133,6 +129,7 @@ class Desk:
                     yield "", None
                     continue
                 if name == "done":
+                    place.release()
                     yield "affordance", job.future.result()
                     return
                 yield name, data
@@ -143,11 +140,11 @@ class Desk:
         return await asyncio.get_running_loop().run_in_executor(self._decoder, read, *arguments)
 
 
-def blame(error: Exception) -> Refused:
-    """What to say to a caller about an error that is not theirs."""
+def refusal(error: Exception) -> Refused:
+    """The HTTP error for an exception."""
     if isinstance(error, Refused):
         return error
-    if isinstance(error, A4Error):  # a key, a model file or a budget: no request can succeed until someone acts
+    if isinstance(error, A4Error):  # a key, a model file or a budget: no request can succeed before it is fixed
         return Refused(503, f"the server cannot work now: {error}", retry_after=60)
     return Refused(500, "the server made a mistake; its log says more")
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from a4agent.imaging import overlay
-from a4agent.serve import cards
-from a4agent.serve.cards import Progress
+from a4agent.serve import page_views
+from a4agent.serve.page_views import Progress
 from a4agent.types import Affordance, Detection, Imagination, Region, Step, Target, Trace
 
 PHOTO = Image.new("RGB", (80, 60), (90, 120, 150))
@@ -37,28 +37,28 @@ def states(page: str) -> list[str]:
 
 def test_the_stages_fill_in_one_after_the_other() -> None:
     progress = Progress(PHOTO, "open", dreams=True, thinks=True)
-    assert states(cards.stages(None)) == ["waiting"] * 3
-    assert states(cards.stages(progress)) == ["working", "waiting", "waiting"]
+    assert states(page_views.stages(None)) == ["waiting"] * 4
+    assert states(page_views.stages(progress)) == ["working", "waiting", "waiting", "off"]
     progress = progress.after("step", (12, 30), 1.0)
-    assert "12 of 30" in cards.stages(progress)
+    assert "12 of 30" in page_views.stages(progress)
     progress = progress.after("imagination", Imagination("a hand pulls", PHOTO), 2.0)
-    assert states(cards.stages(progress)) == ["done", "working", "waiting"]
-    assert "a hand pulls" in cards.stages(progress)
+    assert states(page_views.stages(progress)) == ["done", "working", "waiting", "off"]
+    assert "a hand pulls" in page_views.stages(progress)
     progress = progress.after("target", TARGET, 3.5)
-    assert states(cards.stages(progress)) == ["done", "done", "working"]
-    assert "<time>1.5 s</time>" in cards.stages(progress)
+    assert states(page_views.stages(progress)) == ["done", "done", "working", "off"]
+    assert "<time>1.5 s</time>" in page_views.stages(progress)
     progress = progress.after("detection", FOUND, 4.0)
-    assert "1 box, 1 point; cutting out the mask" in cards.stages(progress)
+    assert "1 box, 1 point; cutting out the mask" in page_views.stages(progress)
     progress = progress.after("affordance", answer(), 5.0)
-    assert states(cards.stages(progress)) == ["done"] * 3
-    assert "a mask of 12.5 % of the photo" in cards.stages(progress)
+    assert states(page_views.stages(progress)) == ["done", "done", "done", "off"]
+    assert "a mask of 12.5 % of the photo" in page_views.stages(progress)
 
 
 def test_stages_that_a_profile_lacks_or_that_were_never_reached_are_off() -> None:
     bare = Progress(PHOTO, "the knob", dreams=False, thinks=False)
-    assert states(cards.stages(bare)) == ["off", "off", "working"]
+    assert states(page_views.stages(bare)) == ["off", "off", "working", "off"]
     failed = Progress(PHOTO, "open", dreams=True, thinks=True).after("affordance", answer("error", regions=()), 1.0)
-    assert states(cards.stages(failed)) == ["off", "waiting", "waiting"]
+    assert states(page_views.stages(failed)) == ["off", "waiting", "waiting", "off"]
 
 
 def layers(page: str) -> list[Image.Image]:
@@ -67,15 +67,15 @@ def layers(page: str) -> list[Image.Image]:
 
 def test_fading_the_tint_is_drawing_with_that_opacity() -> None:
     progress = Progress(PHOTO, "open", True, True).after("affordance", answer(), 1.0)
-    plain, tint = (np.asarray(layer, float) for layer in layers(cards.picture(progress)))
+    plain, tint = (np.asarray(layer, float) for layer in layers(page_views.picture(progress)))
     expected = np.asarray(overlay.draw(PHOTO, answer().regions, opacity=0.4), float)
     assert np.abs(0.6 * plain + 0.4 * tint - expected).mean() < 3  # JPEG, and the outline's anti-aliasing
 
 
 def test_boxes_are_shown_before_the_mask_and_without_a_tint() -> None:
     progress = Progress(PHOTO, "open", True, True)
-    before = cards.picture(progress)
-    after = cards.picture(progress.after("detection", FOUND, 1.0))
+    before = page_views.picture(progress)
+    after = page_views.picture(progress.after("detection", FOUND, 1.0))
     assert len(layers(before)) == len(layers(after)) == 1
     assert layers(before)[0].tobytes() != layers(after)[0].tobytes()
     assert 'data-state="working"' in after
@@ -83,7 +83,7 @@ def test_boxes_are_shown_before_the_mask_and_without_a_tint() -> None:
 
 @given(st.text())
 def test_text_reads_the_same_and_is_no_markup_or_template(words: str) -> None:
-    safe = cards.text(words)
+    safe = page_views.text(words)
     assert html.unescape(safe) == words
     assert not set(safe) & set("<>\"'{}$`")
 
@@ -94,8 +94,9 @@ def test_no_text_of_a_model_or_a_person_reaches_the_page_as_it_is() -> None:
         affordance = answer(target=hostile, error=words, trace=Trace((Step("thinker", "vlm", words, error=words),)))
         progress = Progress(PHOTO, words, True, True).after("imagination", Imagination(words, None), 1.0)
         progress = progress.after("target", hostile, 1.0).after("affordance", affordance, 2.0)
-        parts = (cards.stages(progress), cards.picture(progress), cards.timings(affordance))
-        return "".join(parts) + cards.message(words, "note") + cards.profile_rows([(words, words, [(words, words)])])
+        parts = (page_views.stages(progress), page_views.picture(progress), page_views.timings(affordance))
+        rows = page_views.profile_rows([(words, words, [(words, words)])])
+        return "".join(parts) + page_views.message(words, "note") + rows
 
     hostile, harmless = page('<img src=x>"{{value}}${1}`'), page("words")
     assert re.findall(r"<[^>]*?[ >]", hostile) == re.findall(r"<[^>]*?[ >]", harmless)
@@ -108,22 +109,22 @@ def test_timings_count_only_costs_that_are_known() -> None:
         Step("thinker", "vlm", "m", 1.25, cost=0.0125, tokens_in=10, tokens_out=5),
         Step("spotter", "detector", "d", 0.5),
     )
-    page = cards.timings(answer(trace=Trace(steps)))
+    page = page_views.timings(answer(trace=Trace(steps)))
     assert "1.8 s in 2 model calls, $0.0125" in page
     assert "10 + 5" in page
-    assert "$" not in cards.timings(answer(trace=Trace(steps[1:])))
-    assert cards.timings(answer()) == ""
+    assert "$" not in page_views.timings(answer(trace=Trace(steps[1:])))
+    assert page_views.timings(answer()) == ""
 
 
 @pytest.mark.parametrize("missing", [[], [("a key", "export KEY=...")]])
 def test_a_profile_that_does_not_work_here_cannot_be_chosen(missing: list[tuple[str, str]]) -> None:
-    page = cards.profile_rows([("paper", "the paper's models", missing)])
+    page = page_views.profile_rows([("paper", "the paper's models", missing)])
     assert ("disabled" in page) == bool(missing)
     assert ("export KEY" in page) == bool(missing)
 
 
 def test_the_reason_of_a_failure_is_not_said_again_below_the_picture() -> None:
     failed = answer("invalid", regions=(), target=None, error="UnreadableAnswer: a poem")
-    page = cards.picture(Progress(PHOTO, "open", True, True).after("affordance", failed, 1.0))
+    page = page_views.picture(Progress(PHOTO, "open", True, True).after("affordance", failed, 1.0))
     assert "<figcaption>open</figcaption>" in page
     assert "poem" not in page

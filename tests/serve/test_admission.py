@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import re
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -7,28 +9,29 @@ from typing import Any
 import pytest
 
 from a4agent.errors import ConfigError
-from a4agent.serve import auth
+from a4agent.serve import admission
+from a4agent.serve.admission import Refused
 
 TOKEN = "a-token-of-some-length"
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.3.2.1", "localhost", "LOCALHOST", "::1", "[::1]"])
 def test_loopback_needs_no_token(host: str) -> None:
-    assert auth.is_loopback(host)
-    assert auth.read_token(host, environ={}) is None
+    assert admission.is_loopback(host)
+    assert admission.read_token(host, environ={}) is None
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.5", "robot.local", "", "localhost.example.org", "1"])
 def test_what_others_can_reach_does_not_start_without_one(host: str) -> None:
     with pytest.raises(ConfigError, match="A4_SERVER_TOKEN or --token-file"):
-        auth.read_token(host, environ={})
-    assert auth.read_token(host, environ={auth.VARIABLE: TOKEN}) == TOKEN
+        admission.read_token(host, environ={})
+    assert admission.read_token(host, environ={admission.VARIABLE: TOKEN}) == TOKEN
 
 
 def test_a_file_wins_over_the_environment_and_is_stripped(tmp_path: Path) -> None:
     file = tmp_path / "token"
     file.write_text(f"{TOKEN}\n")
-    assert auth.read_token("0.0.0.0", file, {auth.VARIABLE: "another-token-of-length"}) == TOKEN
+    assert admission.read_token("0.0.0.0", file, {admission.VARIABLE: "another-token-of-length"}) == TOKEN
 
 
 @pytest.mark.parametrize("content", ["", "short", "with a space in the middle", "ünicode-ünicode-ünicode"])
@@ -36,18 +39,18 @@ def test_a_token_that_would_not_protect_is_refused(tmp_path: Path, content: str)
     file = tmp_path / "token"
     file.write_text(content, encoding="utf-8")
     with pytest.raises(ConfigError, match="token"):
-        auth.read_token("127.0.0.1", file, {})
+        admission.read_token("127.0.0.1", file, {})
     with pytest.raises(ConfigError, match="cannot be read"):
-        auth.read_token("127.0.0.1", tmp_path / "none", {})
+        admission.read_token("127.0.0.1", tmp_path / "none", {})
 
 
 def test_an_empty_token_file_is_named(tmp_path: Path) -> None:
     (tmp_path / "token").touch()
     with pytest.raises(ConfigError, match="token' is empty: python -c"):
-        auth.read_token("127.0.0.1", tmp_path / "token", {auth.VARIABLE: TOKEN})
+        admission.read_token("127.0.0.1", tmp_path / "token", {admission.VARIABLE: TOKEN})
 
 
-def test_only_the_token_opens_the_door(serve: Callable[..., Any], photo: bytes) -> None:
+def test_only_the_token_admits(serve: Callable[..., Any], photo: bytes) -> None:
     call = serve(token=TOKEN)
     good = {"Authorization": f"Bearer {TOKEN}"}
     for headers in (
@@ -65,7 +68,7 @@ def test_only_the_token_opens_the_door(serve: Callable[..., Any], photo: bytes) 
     assert call("GET", "/metrics", headers=good).code == 200
     assert call("GET", "/metrics", headers={"Authorization": f"bearer {TOKEN}"}).code == 200
     elsewhere = {**good, "Host": "robot.local:8000", "Origin": "http://robot.local"}
-    assert call("POST", "/v1/affordances", {}, headers=elsewhere).code == 422  # past the door
+    assert call("POST", "/v1/affordances", {}, headers=elsewhere).code == 422
 
 
 @pytest.mark.parametrize(
@@ -87,3 +90,36 @@ def test_a_local_page_can(serve: Callable[..., Any]) -> None:
     call = serve()
     assert call("POST", "/v1/affordances", {}, headers={"Origin": "http://localhost:3000"}).code == 422
     assert call("POST", "/v1/affordances", {}, headers={"Host": "localhost"}).code == 422
+
+
+@pytest.mark.parametrize(("seconds", "header"), [(0.0, "1"), (0.2, "1"), (1.6, "2"), (60.0, "60")])
+def test_retry_after_is_whole_seconds_and_never_at_once(seconds: float, header: str) -> None:
+    assert Refused(503, "busy", seconds).response().headers["retry-after"] == header
+
+
+def test_a_refusal_for_good_names_no_time() -> None:
+    refused = Refused(413, "too large")
+    assert "retry-after" not in refused.response().headers
+    assert refused.body == {"error": "too large"}
+
+
+def test_no_token_and_a_wrong_one_are_told_apart(serve: Callable[..., Any]) -> None:
+    call = serve(token=TOKEN)
+    assert "needs a token" in call("GET", "/metrics").json["error"]
+    assert "token is wrong" in call("GET", "/metrics", headers={"Authorization": "Bearer not-the-token"}).json["error"]
+
+
+def test_each_request_is_one_line_of_the_access_log(
+    serve: Callable[..., Any], photo: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO", logger="a4agent.serve.access")
+    call = serve()
+    call.ask(photo, "/v1/affordances?mask=none")
+    call("GET", "/a%0Ab?secret=1")
+    lines: list[str] = []
+    deadline = time.monotonic() + 5
+    while len(lines) < 2 and time.monotonic() < deadline:  # written after the answer
+        time.sleep(0.01)
+        lines = [record.getMessage() for record in caplog.records if record.name == "a4agent.serve.access"]
+    assert re.fullmatch(r"127\.0\.0\.1 POST /v1/affordances 200 \d+\.\d{3} s", lines[0])
+    assert lines[1].startswith("127.0.0.1 GET /a%0Ab 404 ")

@@ -1,4 +1,4 @@
-"""The web page: drop a photo, say what to do, and watch the three stages answer.
+"""The web page: add a photo, say what to do, and watch the stages answer.
 
     page = create_page(load_settings, profile="offline")
 
@@ -13,7 +13,7 @@ import shutil
 import tempfile
 from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +26,9 @@ from a4agent.agent import A4Agent
 from a4agent.config import Settings, profile_names
 from a4agent.errors import require
 from a4agent.requirements import Missing, check_settings
-from a4agent.serve import cards
-from a4agent.serve.auth import check as check_caller
-from a4agent.serve.door import refuse
-from a4agent.serve.limits import Refused
-from a4agent.serve.profiles import Profiles
-from a4agent.serve.visit import Visit
+from a4agent.serve import EXAMPLES_FOLDER, page_views
+from a4agent.serve.admission import Refused, check_caller
+from a4agent.serve.page_actions import MAX_UPLOAD_BYTES, Profiles, Visit
 
 os.environ.setdefault("GRADIO_ANALYTICS_ENABLED", "False")
 
@@ -40,16 +37,17 @@ MOST_WAITING = 32
 HERE = Path(__file__).parent
 FONTS = ["system-ui", "Segoe UI", "Roboto", "Helvetica Neue", "sans-serif"]
 EXAMPLES = (
+    ("coffee.jpg", "Fill the cup."),
     ("kettle.jpg", "Take the kettle off the stove."),
     ("thermos.jpg", "Unscrew the lid of the thermos."),
     ("drawer.jpg", "Open the drawer."),
 )
-"""Rendered by `a4 data make sim`, from models under the MIT licence; those of the kettle's kitchen under Apache-2.0."""
+"""A photograph (CC0, see `examples/README.md`), and pictures rendered by `a4 data make sim` from models under the MIT licence; those of the kettle's kitchen under Apache-2.0."""
 POLICY = (
     "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; font-src 'self' data:;"
     " script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; connect-src 'self' blob: data:; worker-src 'self' blob:"
 )
-"""With this header the browser itself refuses whatever would come from another host."""
+"""With this header the browser refuses everything from other hosts."""
 
 PICK_A_PROFILE = """
 const mark = () => element.querySelectorAll('input[type=radio]').forEach(i => { i.checked = i.value === props.value; });
@@ -116,10 +114,10 @@ def create_page(
         theme=theme,
         css_paths=HERE / "page.css",
         footer_links=[],
-        max_file_size="32mb",
+        max_file_size=MAX_UPLOAD_BYTES,
         ssr_mode=False,
         run_history=False,
-        allowed_paths=[str(HERE / "examples")],
+        allowed_paths=[str(EXAMPLES_FOLDER)],
     )
     # gradio asks whether a file was uploaded by its visitor only of pages that it believes to be launched.
     blocks.has_launched = True
@@ -138,7 +136,11 @@ def _blocks(gr: Any, profiles: Profiles, profile: str) -> Any:
         with gr.Row(elem_classes="a4-columns"):
             with gr.Column(scale=4, min_width=320):
                 photo = gr.Image(
-                    sources=["upload", "clipboard"], type="filepath", label="Photo", elem_id="photo", height=280
+                    sources=["upload", "webcam", "clipboard"],
+                    type="filepath",
+                    label="Photo",
+                    elem_id="photo",
+                    height=280,
                 )
                 photo.preprocess = _path
                 instruction = gr.Textbox(
@@ -148,10 +150,12 @@ def _blocks(gr: Any, profiles: Profiles, profile: str) -> Any:
                     max_lines=3,
                 )
                 run = gr.Button("Find the part", variant="primary", elem_id="run")
-                gr.Examples(_examples(), [photo, instruction], label="Or try one of these", elem_id="examples")
+                examples = gr.Examples(
+                    _examples(), [photo, instruction], label="Or try one of these", elem_id="examples"
+                )
                 chosen = gr.HTML(
                     value=profile,
-                    rows=cards.profile_rows(rows),
+                    rows=page_views.profile_rows(rows),
                     html_template="${rows}",
                     js_on_load=PICK_A_PROFILE,
                     elem_id="profiles",
@@ -164,9 +168,9 @@ def _blocks(gr: Any, profiles: Profiles, profile: str) -> Any:
                 )
             with gr.Column(scale=7, min_width=360):
                 message = gr.HTML(elem_id="message")
-                picture = gr.HTML(cards.picture(None), elem_id="answer")
+                picture = gr.HTML(page_views.picture(None), elem_id="answer")
                 opacity = gr.Slider(0, 1, 0.55, step=0.01, label="Mask opacity", elem_id="opacity", visible=False)
-                stages = gr.HTML(cards.stages(None), elem_id="stages")
+                stages = gr.HTML(page_views.stages(None), elem_id="stages")
                 timings = gr.HTML(elem_id="timings")
                 with gr.Row(elem_classes="a4-downloads"):
                     files = [
@@ -179,19 +183,20 @@ def _blocks(gr: Any, profiles: Profiles, profile: str) -> Any:
                     ]
         opacity.input(None, [opacity], None, js=FADE)
         chosen.change(lambda name: gr.update(visible=profiles.dreams(name), value=True), [chosen], [dream], queue=False)
-        asked = [run.click, instruction.submit]
-        gr.on(asked, None, js=SHOW_ANSWER)
-        gr.on(
-            asked,
-            Visit(profiles).run,
-            [photo, instruction, chosen, dream],
-            [message, picture, opacity, stages, timings, *files],
-            concurrency_id=ONE_AT_A_TIME,
-            concurrency_limit=1,
-            show_progress="full",
-            show_progress_on=[picture],
-            api_visibility="private",
-        )
+        gr.on([photo.upload, photo.clear, instruction.input, chosen.change], lambda: "", None, [message], queue=False)
+        action: dict[str, Any] = {
+            "fn": Visit(profiles).run,
+            "inputs": [photo, instruction, chosen, dream],
+            "outputs": [message, picture, opacity, stages, timings, *files],
+            "concurrency_id": ONE_AT_A_TIME,
+            "concurrency_limit": 1,
+            "show_progress": "full",
+            "show_progress_on": [picture],
+            "api_visibility": "private",
+        }
+        for asked in (partial(gr.on, [run.click, instruction.submit]), examples.load_input_event.success):
+            asked(fn=None, js=SHOW_ANSWER)
+            asked(**action)
     return blocks.queue(max_size=MOST_WAITING)
 
 
@@ -209,7 +214,7 @@ def _upload_folder() -> str:
 
 
 def _no_addresses(gr: Any, move: Callable[[Any], Awaitable[Any]]) -> Callable[[Any], Awaitable[Any]]:
-    """Refuse what gradio would fetch for a caller; what is left was uploaded or is an example."""
+    """Refuse addresses, which gradio would fetch for a caller; other paths were uploaded or are examples."""
 
     async def uploaded(path: Any) -> Any:
         if "://" in str(path):
@@ -220,11 +225,11 @@ def _no_addresses(gr: Any, move: Callable[[Any], Awaitable[Any]]) -> Callable[[A
 
 
 def _examples() -> list[list[str]]:
-    return [[str(HERE / "examples" / name), instruction] for name, instruction in EXAMPLES]
+    return [[str(EXAMPLES_FOLDER / name), instruction] for name, instruction in EXAMPLES]
 
 
 class _Guard:
-    """Adds the content security policy to every answer; without a password, answers only this machine's own pages."""
+    """Adds the content security policy to every answer; without a password, refuses pages of other sites."""
 
     def __init__(self, app: ASGIApp, open_to_all: bool) -> None:
         self.app = app
@@ -240,6 +245,6 @@ class _Guard:
             try:
                 check_caller(None, scope["path"], Headers(scope=scope))
             except Refused as refused:
-                await refuse(refused)(scope, receive, guarded)
+                await refused.response()(scope, receive, guarded)
                 return
         await self.app(scope, receive, guarded)

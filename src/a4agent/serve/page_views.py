@@ -1,4 +1,4 @@
-"""What the page shows, as HTML. Whatever a model or a person wrote is escaped; pictures travel inside the page."""
+"""What the page shows, as HTML. Text of models and visitors is escaped; pictures are data URIs."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from a4agent.imaging import overlay
-from a4agent.types import Affordance, Imagination, Region, Step, Target
+from a4agent.types import Affordance, Check, Imagination, Region, Step, Target
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 State = Literal["waiting", "working", "done", "off"]
+CERTAINTIES = ((0.9, "sure"), (0.7, "fairly sure"), (0.0, "not very sure"))
+"""What is said of an accepted answer from each confidence on."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,7 @@ class Progress:
     instruction: str
     dreams: bool
     thinks: bool
+    verifies: bool = False
     imagination: Imagination | None = None
     target: Target | None = None
     detection: Any = None
@@ -43,27 +46,43 @@ class Progress:
 
 
 def stages(progress: Progress | None) -> str:
-    """The three stages, filled as far as they are: how, what, where."""
-    return f'<ol class="a4-stages">{_dreamer(progress)}{_thinker(progress)}{_spotter(progress)}</ol>'
+    """The stages, as far as they are: how, what, where, and how sure."""
+    cards = (_dreamer(progress), _thinker(progress), _spotter(progress), _verifier(progress))
+    return f'<ol class="a4-stages">{"".join(cards)}</ol>'
 
 
 def picture(progress: Progress | None) -> str:
-    """The photo with what is known so far; the tint is a layer of its own, so that a slider can fade it."""
+    """The photo with what is known so far; the tint is a separate layer, which a slider fades."""
     if progress is None:
         return '<div class="a4-empty"><p>The answer appears here, over your photo.</p></div>'
     seen = progress.affordance or _so_far(progress)
-    answered = seen.status in ("ok", "empty")  # why there is no answer stands in the message
-    words = text((seen if answered else replace(seen, status="ok")).summary)
+    words = text(_caption(seen))
     plain = overlay.draw(progress.picture, seen.regions, opacity=0.0)
     tint = ""
     if seen.mask.any():
         full = overlay.draw(progress.picture, seen.regions, opacity=1.0)
         tint = f'<img class="a4-tint" alt="" src="{_uri(full)}">'
-    state = "done" if progress.affordance else "working"
+    state = "guess" if seen.status == "abstained" else "done" if progress.affordance else "working"
     return (
         f'<figure class="a4-picture" data-state="{state}"><div><img alt="{words}" src="{_uri(plain)}">{tint}</div>'
         f"<figcaption>{words}</figcaption></figure>"
     )
+
+
+def certainty(affordance: Affordance) -> str:
+    """The confidence as a person reads it: "fairly sure (0.87)"; "" where nothing was verified."""
+    if affordance.confidence is None:
+        return "unsure: shown as a guess" if affordance.status == "abstained" else ""
+    if affordance.status == "abstained":
+        return f"unsure ({affordance.confidence:.2f}): shown as a guess"
+    how = next(words for least, words in CERTAINTIES if affordance.confidence >= least)
+    return f"{how} ({affordance.confidence:.2f})"
+
+
+def worst_check(affordance: Affordance) -> Check | None:
+    """The check that speaks most against the mask; None where nothing was measured."""
+    measured = [check for check in affordance.checks if check.value is not None and check.note]
+    return min(measured, key=lambda check: check.value or 0.0, default=None)
 
 
 def timings(affordance: Affordance | None) -> str:
@@ -115,7 +134,7 @@ def _dreamer(progress: Progress | None) -> str:
     if progress is None:
         return _card("waiting", title, "The Dreamer paints the action being done.")
     if not progress.dreams:
-        return _card("off", title, "Not asked: these models decide from the photo alone.")
+        return _card("off", title, "Not used for this answer.")
     imagination = progress.imagination
     if imagination is None:
         done, total = progress.painted or (0, 0)
@@ -153,8 +172,37 @@ def _spotter(progress: Progress | None) -> str:
     if answer is None:
         return _card("working", title, f"<p>{words}; cutting out the mask</p>")
     share = 100 * float(answer.mask.mean()) if answer.mask.size else 0.0
-    words += f", a mask of {share:.1f} % of the photo" if answer.status == "ok" else ", no mask"
-    return _card("done", title, f"<p>{words}</p>", _since(progress, "affordance", "target", "imagination"))
+    words += f", a mask of {share:.1f} % of the photo" if answer.mask.any() else ", no mask"
+    seconds = None if progress.verifies else _since(progress, "affordance", "target", "imagination")
+    return _card("done", title, f"<p>{words}</p>", seconds)
+
+
+def _verifier(progress: Progress | None) -> str:
+    title = "Sure? <small>check the mask</small>"
+    if progress is None:
+        return _card("waiting", title, "The Verifier says how likely the mask is right.")
+    if not progress.verifies:
+        return _card("off", title, "Not used: these models do not check their masks.")
+    answer = progress.affordance
+    if answer is None:
+        return _card("working" if progress.detection is not None else "waiting", title, "")
+    if answer.status not in ("ok", "abstained"):
+        return _card("off", title, "Nothing to check.")
+    checks = "".join(
+        f"<li><meter min=0 max=1 value={check.value:.2f}></meter> {text(check.note)}</li>"
+        for check in answer.checks
+        if check.value is not None
+    )
+    words = f'<p class="a4-part">{text(certainty(answer))}</p><ul class="a4-checks">{checks}</ul>'
+    return _card("done", title, words)
+
+
+def _caption(answer: Affordance) -> str:
+    """The line below the picture; the reason for a failure is in the message instead."""
+    if answer.status in ("ok", "abstained"):
+        sure = certainty(answer)
+        return f"{answer.phrase}: {sure}" if sure else answer.phrase
+    return answer.summary if answer.status == "empty" else answer.phrase
 
 
 def _card(state: State, title: str, body: str, seconds: float | None = None) -> str:
