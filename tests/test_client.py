@@ -25,8 +25,8 @@ from a4agent import types as core
 from a4agent.client import Client, ServerError
 from a4agent.imaging.masks import encode_rle
 from a4agent.serve import http_server
-from a4agent.serve.api import create_app
 from a4agent.serve.admission import Limits
+from a4agent.serve.api import create_app
 from a4agent.testing import scripted_agent
 
 FILE = Path(client.__file__)

@@ -42,7 +42,8 @@ EXAMPLES = (
     ("thermos.jpg", "Unscrew the lid of the thermos."),
     ("drawer.jpg", "Open the drawer."),
 )
-"""A photograph (CC0, see `examples/README.md`), and pictures rendered by `a4 data make sim` from models under the MIT licence; those of the kettle's kitchen under Apache-2.0."""
+"""A photograph (CC0), and pictures rendered by `a4 data make sim` from models under the MIT licence; those of the
+kettle's kitchen under Apache-2.0. See `examples/LICENSES.md`."""
 POLICY = (
     "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; font-src 'self' data:;"
     " script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; connect-src 'self' blob: data:; worker-src 'self' blob:"
