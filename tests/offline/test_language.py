@@ -6,51 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from a4agent.offline.clauses import joined_verbs
-from a4agent.offline.knowledge import knowledge, words
 from a4agent.offline.language import Reading, read
-
-VERBS = knowledge().action_index
 
 
 def reading(text: str) -> Reading:
     found = read(text)
     assert found is not None
     return found
-
-
-@pytest.mark.parametrize(
-    ("spoken", "meant"),
-    [
-        ("switch the light on.", "switch on the light."),
-        ("turn it off", "turn off it"),
-        ("throw both doors of the cupboard open", "open both doors of the cupboard"),
-        ("pull the old door shut, please", "close the old door, please"),
-        ("walk the dog out", "walk the dog out"),
-        ("cut the box open with a knife", "cut open the box with a knife"),
-    ],
-)
-def test_verbs_that_are_split(spoken: str, meant: str) -> None:
-    assert joined_verbs(spoken, VERBS) == meant
-
-
-@given(st.text(max_size=200))
-def test_text_without_split_verbs_stays_as_it_is(text: str) -> None:
-    if not set(words(text)) & {
-        "on",
-        "off",
-        "up",
-        "down",
-        "in",
-        "out",
-        "open",
-        "shut",
-        "closed",
-        "away",
-        "over",
-        "back",
-    }:
-        assert joined_verbs(text, VERBS) == text
 
 
 @pytest.mark.parametrize(
