@@ -87,7 +87,9 @@ def measure(size: str, dtype: str, options: argparse.Namespace, folder: Path) ->
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sizes", nargs="+", default=["tiny", "large"], choices=list(sam2.SIZES))
+    parser.add_argument(
+        "--sizes", nargs="+", default=["tiny", "large"], choices=["tiny", "small", "base-plus", "large"]
+    )
     parser.add_argument("--dtypes", nargs="+", default=["float32", "bfloat16"])
     parser.add_argument("--prompts", type=int, default=8)
     parser.add_argument("--repeat", type=int, default=3)

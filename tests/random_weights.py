@@ -53,6 +53,46 @@ def save_qwen3_vl(folder: Path, config: Any = None, *, seed: int = 0) -> Path:
     return _save_model(folder, t.Qwen3VLForConditionalGeneration, config, seed)
 
 
+def save_qwen3_5(folder: Path, *, seed: int = 0) -> Path:
+    """A Qwen3.5: three layers of linear attention to one of full attention, and a chat template with thinking."""
+    t: Any = require("transformers", extra="local")
+    ids = write_qwen_tokenizer(folder)
+    t.Qwen2Tokenizer.from_pretrained(folder).save_pretrained(folder)  # as tokenizer.json, the only file that is read
+    t.Qwen2VLImageProcessorPil(min_pixels=64 * 64, max_pixels=128 * 128, patch_size=16).save_pretrained(folder)
+    text = {key: value for key, value in _tiny_text(ids).items() if key not in ("rope_parameters", "layer_types")}
+    config = t.Qwen3_5Config(
+        text_config={
+            **text,
+            "num_hidden_layers": 4,
+            "head_dim": 16,
+            "linear_key_head_dim": 8,
+            "linear_value_head_dim": 8,
+            "linear_num_key_heads": 2,
+            "linear_num_value_heads": 2,
+            "rope_parameters": {
+                "rope_type": "default",
+                "mrope_section": [2, 1, 1],
+                "rope_theta": 1e6,
+                "partial_rotary_factor": 0.5,
+            },
+        },
+        vision_config={
+            "depth": 2,
+            "hidden_size": 32,
+            "intermediate_size": 64,
+            "num_heads": 4,
+            "out_hidden_size": 64,
+            "patch_size": 16,
+            "num_position_embeddings": 64,
+        },
+        image_token_id=ids["<|image_pad|>"],
+        video_token_id=ids["<|video_pad|>"],
+        vision_start_token_id=ids["<|vision_start|>"],
+        vision_end_token_id=ids["<|vision_end|>"],
+    )
+    return _save_model(folder, t.Qwen3_5ForConditionalGeneration, config, seed)
+
+
 def save_internvl3(folder: Path, config: Any = None, *, seed: int = 0) -> Path:
     """An InternVL3."""
     t: Any = require("transformers", extra="local")

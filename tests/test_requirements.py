@@ -8,7 +8,6 @@ from a4agent import requirements
 from a4agent.config import ExpertSettings, load_settings, profile_names
 from a4agent.errors import CredentialError, ModelFilesError, UnknownNameError
 from a4agent.experts import hub, registry
-from a4agent.files import read_package_toml
 
 
 @pytest.fixture(autouse=True)
@@ -80,10 +79,10 @@ def test_check_asks_once_a_missing_model_and_names_them_all(monkeypatch):
     monkeypatch.setattr(hub, "reach", reach)
     with pytest.raises(ModelFilesError) as caught:
         requirements.check(load_settings("small").expert_specs())
-    assert len(asked) == 3
+    assert len(asked) == 2
     for name in asked:
         assert name in str(caught.value)
-    assert "a4 models pull Qwen/Qwen3-VL-2B-Instruct IDEA-Research" in str(caught.value)
+    assert "a4 models pull Qwen/Qwen3-VL-2B-Instruct facebook/sam2.1-hiera-tiny" in str(caught.value)
 
 
 def test_check_passes_on_that_a_model_is_gated(monkeypatch):
@@ -137,12 +136,3 @@ def test_every_model_of_every_profile_is_in_the_catalogue():
             assert need.name in requirements.catalogue(), f"{profile}: {need.name}"
             assert need.info.gigabytes
             assert need.info.licence
-
-
-def test_short_names_are_the_experts_own():
-    from a4agent.experts.local.image_edit import LIGHTNING_LORAS
-    from a4agent.experts.local.sam2 import SIZES
-
-    table = read_package_toml("a4agent.experts", "models.toml")
-    assert table["local"]["sam2"] == SIZES
-    assert table["lightning"] == LIGHTNING_LORAS

@@ -45,7 +45,7 @@ def test_nothing_is_missing_when_all_is_here(profile: Path, monkeypatch: pytest.
 
 def test_a_missing_library_names_its_extra(profile: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(registry.plugins.added, "mine", detector_that(ScriptedDetector()))
-    monkeypatch.setattr(requirements, "EXTRAS", {"offline": ("json", "no_such_module_at_all")})
+    monkeypatch.setattr(requirements, "EXTRAS", {"offline": requirements.Extra(("json", "no_such_module_at_all"), "")})
     (missing,) = check_profile(str(profile))
     assert missing == Missing("the extra 'offline' (no_such_module_at_all)", "pip install 'a4agent[offline]'")
 
@@ -86,4 +86,4 @@ def test_a_profile_that_does_not_exist_is_an_answer_not_an_error() -> None:
 
 def test_every_extra_is_looked_for() -> None:
     project = toml.loads((Path(__file__).parent.parent / "pyproject.toml").read_text())["project"]
-    assert set(requirements.EXTRAS) == set(project["optional-dependencies"]) - {"all", "test"}
+    assert set(requirements.EXTRAS) == set(project["optional-dependencies"]) - {"all", "test", "train"}

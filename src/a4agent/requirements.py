@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Protocol, cast
 
 from a4agent.config import ExpertSettings, Settings, load_profile
-from a4agent.errors import A4Error, CredentialError, MissingExtraError, ModelFilesError, UnknownNameError
+from a4agent.errors import A4Error, CredentialError, MissingExtraError, ModelFilesError
 from a4agent.experts import hub, registry
 from a4agent.files import read_package_toml
 from a4agent.protocols import Role
@@ -160,12 +160,8 @@ def _checkpoints_of(spec: str, settings: Mapping[str, Any]) -> list[tuple[str, s
     provider, model = registry.split(spec)
     table = read_package_toml("a4agent.experts", "models.toml")
     if provider in table["local"]:
-        short = table["local"][provider]
-        if short and model not in short and "/" not in model and not Path(model).expanduser().exists():
-            hint = "A folder or OWNER/NAME will do as well."
-            raise UnknownNameError.of(f"model of {provider!r}:", model, short, hint)
         revision = str(settings["revision"]) if settings.get("revision") else None
-        whole = (str(short.get(model, model)), revision)
+        whole = (hub.full_name(provider, model), revision)
         return [whole, *((file, None) for file in _lora_of(model, settings, table["lightning"]))]
     module: Any = sys.modules.get(registry.factory_of(provider).__module__)
     own: Sequence[str] = module.checkpoints(model, settings) if hasattr(module, "checkpoints") else ()
@@ -183,19 +179,29 @@ def _lora_of(model: str, settings: Mapping[str, Any], lightning: Mapping[str, st
     return []
 
 
-EXTRAS: Mapping[str, tuple[str, ...]] = {
-    "offline": ("onnxruntime", "cv2"),
-    "api": ("openai",),
-    "local": ("torch", "transformers", "diffusers", "accelerate"),
-    "bench": ("datasets", "pyarrow"),
-    "serve": ("fastapi", "uvicorn", "multipart", "prometheus_client"),
-    "app": ("gradio",),
-    "ray": ("ray",),
-    "interop": ("supervision", "rerun"),
-    "sim": ("mujoco",),
-    "quantisation": ("bitsandbytes",),
+@dataclass(frozen=True)
+class Extra:
+    """An optional dependency group of this package: the modules it brings, and about what it takes on disk."""
+
+    modules: tuple[str, ...]
+    size: str
+
+
+EXTRAS: Mapping[str, Extra] = {
+    "offline": Extra(("onnxruntime", "cv2", "rapidfuzz"), "240 MB"),
+    "api": Extra(("openai",), "20 MB"),
+    "local": Extra(("torch", "transformers", "diffusers", "accelerate"), "1 GB on a CPU, 6 GB with CUDA; and models"),
+    "quantisation": Extra(("bitsandbytes",), "125 MB; needs a GPU"),
+    "heif": Extra(("pillow_heif",), "10 MB"),
+    "bench": Extra(("datasets", "pyarrow", "sklearn"), "300 MB"),
+    "serve": Extra(("fastapi", "uvicorn", "multipart", "prometheus_client"), "10 MB"),
+    "app": Extra(("gradio",), "250 MB"),
+    "ray": Extra(("ray",), "240 MB"),
+    "interop": Extra(("supervision",), "60 MB"),
+    "rerun": Extra(("rerun",), "520 MB"),
+    "sim": Extra(("mujoco",), "50 MB, and the asset packages"),
 }
-"""Extra -> the modules it brings."""
+"""The extras of pyproject.toml that a4 doctor looks for."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +214,8 @@ class Missing:
 
 def missing_modules(extra: str) -> list[str]:
     """The modules of an extra that cannot be found."""
-    return [module for module in EXTRAS.get(extra, ()) if importlib.util.find_spec(module) is None]
+    modules = EXTRAS[extra].modules if extra in EXTRAS else ()
+    return [module for module in modules if importlib.util.find_spec(module) is None]
 
 
 def check_profile(name: str) -> list[Missing]:

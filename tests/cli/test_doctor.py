@@ -41,7 +41,9 @@ def test_it_says_what_is_wrong_with_the_settings(
 def test_it_names_the_command_for_what_is_not(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(requirements, "EXTRAS", {**requirements.EXTRAS, "offline": ("no_such_module_at_all",)})
+    monkeypatch.setattr(
+        requirements, "EXTRAS", {**requirements.EXTRAS, "offline": requirements.Extra(("no_such_module_at_all",), "")}
+    )
     with pytest.raises(SystemExit):
         main(["doctor"])
     said = capsys.readouterr().out

@@ -44,6 +44,7 @@ def _fixture(name: str, **options: Any) -> Callable[..., Path]:
 
 tiny_qwen_vl = _fixture("qwen_vl")
 tiny_qwen3_vl = _fixture("qwen3_vl")
+tiny_qwen3_5 = _fixture("qwen3_5")
 tiny_internvl3 = _fixture("internvl3")
 tiny_rex_omni = _fixture("rex_omni")
 tiny_sam2 = _fixture("sam2")

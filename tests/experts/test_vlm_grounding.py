@@ -17,6 +17,7 @@ from a4agent.errors import ConfigError, ProviderUnavailable, TruncatedAnswer, Un
 from a4agent.experts import registry
 from a4agent.experts.vlm_grounding import VlmDetector, create, dialects, smart_resize
 from a4agent.protocols import ChatAnswer, DetectRequest, ExpertBase
+from a4agent.testing import ScriptedVLM
 from a4agent.types import Detection, Usage
 from servers import chat, error
 
@@ -253,3 +254,11 @@ def test_every_dialect_is_declared_in_full():
         assert dialect.source
         assert not dialect.vlm or registry.split(dialect.vlm)[0] == "transformers", name
         assert dialect.coordinates != "sent" or dialect.resize != "none", "the size it answers in would be unknown"
+
+
+def test_geminis_points_have_y_first():
+    vlm = ScriptedVLM(['[{"point": [250, 500], "label": "handle", "box_2d": [100, 200, 300, 400]}]'])
+    detector = registry.create("vlm-grounding:gemini-er", "detector", {"vlm": vlm})
+    found = detector.detect([DetectRequest(Image.new("RGB", (640, 480)), "the handle")])[0]
+    assert found.points_xy.tolist() == [[320.0, 120.0]]
+    assert found.boxes_xyxy.tolist() == [[128.0, 48.0, 256.0, 144.0]]

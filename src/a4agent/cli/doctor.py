@@ -17,19 +17,6 @@ from a4agent.config import load_settings, profile_names
 from a4agent.errors import A4Error
 from a4agent.requirements import EXTRAS, check_profile, missing_modules
 
-SIZES = {
-    "offline": "about 300 MB",
-    "api": "about 10 MB",
-    "local": "about 1 GB on a CPU, 6 GB with CUDA, and the models",
-    "bench": "about 250 MB",
-    "serve": "about 15 MB",
-    "app": "about 250 MB",
-    "ray": "about 250 MB",
-    "interop": "about 400 MB",
-    "sim": "about 50 MB, and the asset packages",
-    "quantisation": "about 125 MB; a GPU",
-}
-
 
 def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False) -> None:
     """Say what works on this machine, and how to get the rest."""
@@ -53,7 +40,11 @@ def examine() -> dict[str, Any]:
         "hub_offline": os.environ.get("HF_HUB_OFFLINE", "") not in ("", "0"),
         "keys": {name: bool(os.environ.get(name, "").strip()) for name in ("OPENAI_API_KEY", "HF_TOKEN")},
         "extras": {
-            extra: {"missing": missing_modules(extra), "size": SIZES[extra], "fix": f"pip install 'a4agent[{extra}]'"}
+            extra: {
+                "missing": missing_modules(extra),
+                "size": EXTRAS[extra].size,
+                "fix": f"pip install 'a4agent[{extra}]'",
+            }
             for extra in EXTRAS
         },
         "simulator": registry.missing("sim"),

@@ -18,8 +18,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from a4agent.errors import CredentialError, ModelFilesError, ResourceError, require
+from a4agent.errors import CredentialError, ModelFilesError, ResourceError, UnknownNameError, require
 from a4agent.experts.intact import missing_files
+from a4agent.files import read_package_toml
 
 PATTERNS = ["*.json", "*.safetensors", "*.txt", "*.jinja", "*.model"]
 """The files of a repository that loading needs; no pickled weights, no code."""
@@ -28,6 +29,18 @@ _PROBE_SECONDS = 10.0
 _ATTEMPTS, _PAUSE_SECONDS = 3, 1.0
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 _NOT_WRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST)
+
+
+def full_name(provider: str, model: str) -> str:
+    """The folder or OWNER/NAME behind a provider's short name for it in models.toml ("tiny" of sam2).
+
+    Raises:
+        UnknownNameError: neither a short name nor a folder or OWNER/NAME.
+    """
+    short: dict[str, str] = read_package_toml("a4agent.experts", "models.toml")["local"][provider]
+    if model in short or not short or "/" in model or "\\" in model or Path(model).expanduser().exists():
+        return short.get(model, model)
+    raise UnknownNameError.of(f"model of {provider!r}:", model, short, "A folder or OWNER/NAME also works.")
 
 
 def reference(name: str, revision: str | None = None, file: str = "") -> str:

@@ -62,6 +62,7 @@ class Dialect:
     max_tokens: int
     schema: bool
     source: str
+    order: str = "xy"
 
     def prompt(self, phrase: str) -> str:
         """The question about a phrase, to the letter."""
@@ -249,8 +250,10 @@ class VlmDetector(ExpertBase):
             failure.usage = answer.usage
             return failure
         system = self.dialect.system(sent_wh)
-        boxes = to_pixels(np.reshape(found.boxes, (-1, 4)), system, size_wh)
-        points = to_pixels(np.reshape(found.points, (-1, 2)), system, size_wh)
+        boxes, points = np.reshape(found.boxes, (-1, 4)), np.reshape(found.points, (-1, 2))
+        if self.dialect.order == "yx":
+            boxes, points = boxes[:, [1, 0, 3, 2]], points[:, ::-1]
+        boxes, points = to_pixels(boxes, system, size_wh), to_pixels(points, system, size_wh)
         if self.dialect.whole_pixels:
             boxes, points = np.floor(boxes + 0.5), np.floor(points + 0.5)
         return Detection(

@@ -26,7 +26,7 @@ def log(affordance: Affordance, path: str = "affordance", recording: Any = None)
     Raises:
         MissingExtraError: rerun is not installed.
     """
-    rr = require("rerun", extra="interop")
+    rr = require("rerun", extra="rerun")
 
     def put(name: str, value: Any) -> None:
         rr.log(f"{path}/{name}", value, recording=recording)
@@ -53,7 +53,7 @@ def log_lifted(lifted: Lifted, path: str = "affordance/lifted", recording: Any =
     Raises:
         MissingExtraError: rerun is not installed.
     """
-    rr = require("rerun", extra="interop")
+    rr = require("rerun", extra="rerun")
     rr.log(path, rr.Clear(recursive=True), recording=recording)
     for number, region in enumerate(lifted.regions):
         entity = f"{path}/{number}"

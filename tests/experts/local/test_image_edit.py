@@ -187,7 +187,7 @@ def test_mistakes_are_named(tiny_qwen_image_edit, tiny_sam2, tmp_path, monkeypat
     def create(model=folder, **settings):
         return qwen_image_edit.create(model, "editor", **settings)
 
-    with pytest.raises(ConfigError, match="no Lightning LoRA known for"):
+    with pytest.raises(ConfigError, match="no Lightning LoRA is known for"):
         create(lightning=4)
     with pytest.raises(ConfigError, match="lightning is 0"):
         create(lightning=6)

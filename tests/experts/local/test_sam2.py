@@ -207,7 +207,7 @@ def test_what_changes_an_answer_is_in_the_fingerprint(tiny_sam2):
 
 
 def test_mistakes_are_named(tiny_sam2, tiny_grounding_dino):
-    with pytest.raises(UnknownNameError, match=r"size of SAM 2 'larg'; did you mean 'large'"):
+    with pytest.raises(UnknownNameError, match=r"model of 'sam2': 'larg'; did you mean 'large'"):
         sam2.create("larg", "segmenter")
     with pytest.raises(ModelFilesError, match=r"facebook/sam2.1-hiera-tiny"):
         sam2.create("tiny", "segmenter")

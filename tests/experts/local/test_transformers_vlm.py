@@ -30,7 +30,7 @@ def vlm(tiny_qwen_vl):
     return transformers_vlm.create(str(tiny_qwen_vl), "vlm", max_batch=8)
 
 
-@pytest.mark.parametrize("architecture", ["qwen_vl", "qwen3_vl", "internvl3"])
+@pytest.mark.parametrize("architecture", ["qwen_vl", "qwen3_vl", "qwen3_5", "internvl3"])
 def test_batched_answers_equal_single_ones(request, architecture, noise):
     """Greedy answers do not depend on the batch: left padding, positions and image tokens are right for each model."""
     vlm = transformers_vlm.create(str(request.getfixturevalue(f"tiny_{architecture}")), "vlm", max_batch=8)
@@ -148,3 +148,31 @@ def test_mistakes_are_named(tiny_sam2, tiny_qwen_vl, tmp_path):
         transformers_vlm.create(str(tiny_sam2), "vlm").load()
     with pytest.raises(ConfigError, match="cannot be the segmenter"):
         registry.create(f"transformers:{tiny_qwen_vl}", "segmenter")
+
+
+def test_arguments_of_the_chat_template_reach_it(tiny_qwen3_5, noise, monkeypatch):
+    vlm = transformers_vlm.create(str(tiny_qwen3_5), "vlm", template={"enable_thinking": False})
+    vlm.load()
+    seen = []
+    tokenizer = vlm._model.processor.tokenizer
+    monkeypatch.setattr(vlm._model.processor, "chat_template", "{{ enable_thinking }}<|vision_start|><|image_pad|>")
+    decode = type(tokenizer).__call__
+    monkeypatch.setattr(
+        type(tokenizer), "__call__", lambda self, text, **a: seen.append(text) or decode(self, text, **a)
+    )
+    vlm.chat([ChatRequest(images=(noise(64, 64),), text="What is this?", max_tokens=3)])
+    assert seen[0][0].startswith("False<|vision_start|>")
+    assert vlm.fingerprint()["settings"]["template"] == {"enable_thinking": False}
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("<think>It is red.</think>\n\nthe handle", ("It is red.", "the handle")),
+        ("It is red.\n</think>the handle", ("It is red.", "the handle")),  # the template wrote "<think>"
+        ("the handle", ("", "the handle")),
+        ("<think>never ends", ("", "<think>never ends")),
+    ],
+)
+def test_thinking_is_kept_apart_from_the_answer(text, parts):
+    assert transformers_vlm.split_thinking(text) == parts

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,13 +41,20 @@ class Generation:
 
 @dataclass(frozen=True)
 class ChatModel:
-    """A model with its processor."""
+    """A model with its processor; `template` are further arguments of its chat template (`enable_thinking`)."""
 
     model: Any
     processor: Any
+    template: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def load(cls, checkpoint: Checkpoint, placement: Placement, processor: Any | None = None) -> ChatModel:
+    def load(
+        cls,
+        checkpoint: Checkpoint,
+        placement: Placement,
+        processor: Any | None = None,
+        template: Mapping[str, Any] | None = None,
+    ) -> ChatModel:
         """Load what `AutoModelForImageTextToText` knows.
 
         Raises:
@@ -56,7 +63,7 @@ class ChatModel:
         transformers: Any = require("transformers", extra="local")
         processor = processor or load_processor(checkpoint.folder)
         auto = transformers.AutoModelForImageTextToText
-        return cls(load_pretrained(auto, checkpoint, placement, shrinking=(QUANTISE,)), processor)
+        return cls(load_pretrained(auto, checkpoint, placement, shrinking=(QUANTISE,)), processor, template or {})
 
     def generate(
         self, turns: Sequence[Turn], max_new_tokens: Sequence[int], sampling: Mapping[str, Any] | None = None
@@ -89,7 +96,9 @@ class ChatModel:
 
     def _inputs(self, turns: Sequence[Turn]) -> dict[str, Any]:
         texts = [
-            self.processor.apply_chat_template(_messages(turn), tokenize=False, add_generation_prompt=True)
+            self.processor.apply_chat_template(
+                _messages(turn), tokenize=False, add_generation_prompt=True, **self.template
+            )
             for turn in turns
         ]
         inputs = self.processor(

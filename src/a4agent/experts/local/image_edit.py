@@ -32,6 +32,7 @@ from a4agent.experts.local.base import (
 )
 from a4agent.experts.local.checkpoints import Checkpoint, digest_of, find_checkpoint, find_file, parameter_count
 from a4agent.experts.local.generation import load_processor
+from a4agent.files import read_package_toml
 from a4agent.protocols import EditAnswer, EditRequest, Role
 
 
@@ -57,12 +58,6 @@ OFFLOADS = {"none": ("offload = 'model'",), "model": ("offload = 'sequential'",)
 """What may be offloaded, and the setting that needs still less memory."""
 QUANTISED_PARTS = ["transformer", "text_encoder"]
 
-LIGHTNING_LORAS = {
-    "Qwen/Qwen-Image-Edit-2509": "lightx2v/Qwen-Image-Lightning/Qwen-Image-Edit-2509/"
-    "Qwen-Image-Edit-2509-Lightning-{steps}steps-V1.0-bf16.safetensors",
-    "Qwen/Qwen-Image-Edit-2511": "lightx2v/Qwen-Image-Edit-2511-Lightning/"
-    "Qwen-Image-Edit-2511-Lightning-{steps}steps-V1.0-bf16.safetensors",
-}
 LIGHTNING_SCHEDULER = {
     "base_image_seq_len": 256,
     "max_image_seq_len": 8192,
@@ -143,9 +138,10 @@ def create(
         if value is not None and name not in known:
             raise ConfigError(f"{model!r} is a {pipeline}, which takes no {name!r}; remove that setting of the editor")
     if lightning and lora is None:
-        if model not in LIGHTNING_LORAS:
-            raise ConfigError(f"there is no Lightning LoRA known for {model!r}: name its file with the setting lora")
-        lora = LIGHTNING_LORAS[model].format(steps=lightning)
+        loras = read_package_toml("a4agent.experts", "models.toml")["lightning"]
+        if model not in loras:
+            raise ConfigError(f"no Lightning LoRA is known for {model!r}: name its file with the setting lora")
+        lora = str(loras[model]).format(steps=lightning)
     lora_file = find_file(lora) if lora else None
     scale = scales[kind.scale]
     return DiffusersEditor(

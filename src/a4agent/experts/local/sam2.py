@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from a4agent.errors import A4Error, ConfigError, UnknownNameError, require
+from a4agent.experts.hub import full_name
 from a4agent.experts.local.base import LocalExpert, Placement, Stopwatch, load_pretrained, place
 from a4agent.experts.local.checkpoints import Checkpoint, find_checkpoint
 from a4agent.imaging.load import image_hash
@@ -26,7 +27,6 @@ from a4agent.protocols import Prompt, Role, Segmentation, SegmentRequest
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-SIZES = {size: f"facebook/sam2.1-hiera-{size}" for size in ("tiny", "small", "base-plus", "large")}
 IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
 Candidates = Literal["best", "all"]
 
@@ -62,10 +62,8 @@ def create(
         ModelFilesError: no such checkpoint, or the hub cannot be reached.
         ConfigError: a setting has a value it does not take.
     """
-    if model not in SIZES and "/" not in model and "\\" not in model:
-        raise UnknownNameError.of("size of SAM 2", model, SIZES, "A folder or OWNER/NAME will do as well.")
     placement = place(device, dtype)
-    checkpoint = find_checkpoint(SIZES.get(model, model), kinds=("sam2", "sam2_video"), revision=revision)
+    checkpoint = find_checkpoint(full_name("sam2", model), kinds=("sam2", "sam2_video"), revision=revision)
     return SamSegmenter(
         f"sam2:{model}", checkpoint, placement, candidates=candidates, max_batch=max_batch, cached_images=cached_images
     )

@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from a4agent.errors import require
+from a4agent.experts.hub import full_name
 from a4agent.experts.local.base import Placement, load_pretrained, place
 from a4agent.experts.local.checkpoints import find_checkpoint
-from a4agent.experts.local.sam2 import IMAGENET, SIZES, resized_mask, to_square
+from a4agent.experts.local.sam2 import IMAGENET, resized_mask, to_square
 from a4agent.protocols import Tracked
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ class Sam2VideoTracker:
     def __init__(self, *, model: str = "tiny", revision: str | None = None, device: str = "auto") -> None:
         placement = place(device, "float32")
         self._device = placement.input_device
-        checkpoint = find_checkpoint(SIZES.get(model, model), kinds=("sam2", "sam2_video"), revision=revision)
+        checkpoint = find_checkpoint(full_name("sam2", model), kinds=("sam2", "sam2_video"), revision=revision)
         transformers: Any = require("transformers", extra="local")
         self._model: Any = load_pretrained(
             transformers.Sam2VideoModel, checkpoint, Placement(placement.device, "float32")

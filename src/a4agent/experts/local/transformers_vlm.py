@@ -8,8 +8,8 @@ Whatever `AutoModelForImageTextToText` loads: Qwen2.5-VL, Qwen3-VL (`Qwen/Qwen3-
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from a4agent.errors import A4Error, ConfigError
 from a4agent.experts.local.base import QUANTISE, LocalExpert, Placement, Stopwatch, place
@@ -33,6 +33,7 @@ def create(
     max_batch: int = 4,
     max_pixels: int | None = None,
     temperature: float = 0.0,
+    template: Mapping[str, Any] | None = None,
 ) -> TransformersVlm:
     """A vision-language model of transformers.
 
@@ -47,6 +48,8 @@ def create(
         max_batch: the most requests at once; halved whenever memory runs out.
         max_pixels: larger images are scaled down to this area first; the processor's own limits apply after.
         temperature: 0 is greedy.
+        template: further arguments of the chat template, such as {enable_thinking = false}, which Qwen3.5 and
+            later need to answer without thinking first.
 
     Raises:
         ModelFilesError: no such checkpoint, or the hub cannot be reached.
@@ -58,7 +61,9 @@ def create(
         raise ConfigError(f"max_pixels is a positive number of pixels, not {max_pixels!r}")
     placement = place(device, dtype, attention, quantisation)
     checkpoint = find_checkpoint(model, revision=revision)
-    return TransformersVlm(f"transformers:{model}", checkpoint, placement, max_batch, max_pixels, temperature)
+    return TransformersVlm(
+        f"transformers:{model}", checkpoint, placement, max_batch, max_pixels, temperature, dict(template or {})
+    )
 
 
 class TransformersVlm(LocalExpert):
@@ -74,10 +79,12 @@ class TransformersVlm(LocalExpert):
         max_batch: int = 4,
         max_pixels: int | None = None,
         temperature: float = 0.0,
+        template: Mapping[str, Any] | None = None,
     ) -> None:
-        settings = {"max_pixels": max_pixels, "temperature": temperature}
+        settings = {"max_pixels": max_pixels, "temperature": temperature, "template": dict(template or {})}
         super().__init__(id, checkpoint, placement, settings=settings, max_batch=max_batch)
         self._max_pixels = max_pixels
+        self._template = template
         self._sampling = {"do_sample": True, "temperature": temperature} if temperature else {}
         self._model: ChatModel | None = None
 
@@ -91,7 +98,7 @@ class TransformersVlm(LocalExpert):
         return self._in_batches(requests, self._answer, alike=lambda request: bool(request.images))
 
     def _load(self) -> None:
-        self._model = ChatModel.load(self.checkpoint, self.placement)
+        self._model = ChatModel.load(self.checkpoint, self.placement, template=self._template)
 
     def _unload(self) -> None:
         self._model = None
@@ -101,17 +108,23 @@ class TransformersVlm(LocalExpert):
         watch = Stopwatch()
         turns = [Turn(tuple(map(self._sized, r.images)), r.text, r.system) for r in requests]
         generations = self._model.generate(turns, [r.max_tokens for r in requests], self._sampling)
-        return [
-            ChatAnswer(
-                text=self._model.decode(generation.ids).strip(),
-                finish_reason=generation.finish_reason,
-                usage=watch.usage(len(requests), tokens_in=generation.tokens_in, tokens_out=len(generation.ids)),
-            )
-            for generation in generations
-        ]
+        answers: list[ChatAnswer] = []
+        for generation in generations:
+            reasoning, text = split_thinking(self._model.decode(generation.ids).strip())
+            usage = watch.usage(len(requests), tokens_in=generation.tokens_in, tokens_out=len(generation.ids))
+            answers.append(ChatAnswer(text, reasoning, generation.finish_reason, usage))
+        return answers
 
     def _sized(self, image: Image) -> Image:
         scale = 1.0 if self._max_pixels is None else (self._max_pixels / (image.width * image.height)) ** 0.5
         if scale >= 1.0:
             return image
         return image.resize((max(1, int(image.width * scale)), max(1, int(image.height * scale))))
+
+
+def split_thinking(text: str) -> tuple[str, str]:
+    """The thinking that a model writes before "</think>", and the answer after it; the template may hold "<think>"."""
+    thinking, end, answer = text.partition("</think>")
+    if not end:
+        return "", text
+    return thinking.replace("<think>", "", 1).strip(), answer.strip()
