@@ -33,6 +33,11 @@ ROOMS = {
     "store": ["runs/store.py"],
     "readers": ["stages/target_json.py", "experts/grounding_answer.py", "experts/rex_omni_answer.py"],
 }
+ALSO = {
+    "engine/session.py": ["engine/test_pipeline.py"],
+    "engine/pipeline.py": ["engine/test_session.py", "engine/test_stopping.py"],
+}
+"""What else tests a file: a session is used through `run`, and `run` through sessions that stop."""
 COMPARISONS: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Lt: ast.LtE,
     ast.LtE: ast.Lt,
@@ -88,7 +93,7 @@ def nodes(tree: ast.AST) -> Iterator[ast.AST]:
         if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
             continue
         if isinstance(child, ast.AnnAssign):
-            yield from nodes(ast.Module([ast.Expr(child.value)], []) if child.value else ast.Module([], []))
+            yield from nodes(ast.Expression(child.value) if child.value else ast.Module([], []))
             continue
         yield child
         if isinstance(child, (ast.FunctionDef, ast.ClassDef)):
@@ -148,13 +153,15 @@ def source(mutant: Mutant) -> str:
     return ast.unparse(ast.fix_missing_locations(Change().visit(tree)))
 
 
-def test_of(path: Path) -> Path:
+def tests_of(path: Path) -> list[Path]:
+    """The test file that mirrors a file, and what else tests it."""
     relative = path.relative_to(ROOT / "src" / "a4agent")
-    return ROOT / "tests" / relative.parent / f"test_{relative.name}"
+    mirror = relative.parent / f"test_{relative.name}"
+    return [ROOT / "tests" / name for name in (mirror, *ALSO.get(str(relative), []))]
 
 
-def passes(test: Path, package: Path, limit: float) -> bool | None:
-    """Whether a test file passes with the package in `package`; None if it took longer than `limit` seconds."""
+def passes(tests: list[Path], package: Path, limit: float) -> bool | None:
+    """Whether test files pass with the package in `package`; None if it took longer than `limit` seconds."""
     process = os.fork()
     if process == 0:
         os.setpgrp()
@@ -165,7 +172,7 @@ def passes(test: Path, package: Path, limit: float) -> bool | None:
         sys.path.insert(0, str(package))
         import pytest
 
-        os._exit(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "--hypothesis-seed=0", str(test)]))
+        os._exit(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "--hypothesis-seed=0", *map(str, tests)]))
     deadline = time.monotonic() + limit
     while time.monotonic() < deadline:
         done, status = os.waitpid(process, os.WNOHANG)
@@ -197,22 +204,20 @@ def main() -> None:
         shutil.copytree(ROOT / "src" / "a4agent", package / "a4agent", ignore=shutil.ignore_patterns("__pycache__"))
         for room in options.rooms or ROOMS:
             paths = [path for pattern in ROOMS[room] for path in sorted((ROOT / "src" / "a4agent").glob(pattern))]
-            found = [mutant for path in paths if test_of(path).exists() for mutant in mutants(path)]
+            found = [mutant for path in paths if tests_of(path)[0].exists() for mutant in mutants(path)]
             if options.list:
                 print(*(f"{mutant.name}  {mutant.words}" for mutant in found), sep="\n")
                 continue
             counts = table.setdefault(room, Counter())
             for mutant in random.Random(options.seed).sample(found, min(options.sample, len(found))):
-                test, copied = (
-                    test_of(mutant.path),
-                    package / "a4agent" / mutant.path.relative_to(ROOT / "src" / "a4agent"),
-                )
-                if test not in seconds:
+                tests = tests_of(mutant.path)
+                copied = package / mutant.path.relative_to(ROOT / "src")
+                if mutant.path not in seconds:
                     started = time.monotonic()
-                    assert passes(test, package, 300.0), f"{test} fails without a change"
-                    seconds[test] = time.monotonic() - started
+                    assert passes(tests, package, 600.0), f"the tests of {mutant.path} fail without a change"
+                    seconds[mutant.path] = time.monotonic() - started
                 copied.write_text(source(mutant))
-                verdict = passes(test, package, 3 * seconds[test] + 5.0)
+                verdict = passes(tests, package, 3 * seconds[mutant.path] + 5.0)
                 copied.write_text(mutant.path.read_text())
                 word = {True: "survived", False: "killed", None: "killed (hung)"}[verdict]
                 counts[word.split()[0]] += 1

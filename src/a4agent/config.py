@@ -1,4 +1,4 @@
-"""Settings: flags over environment over `a4.toml` over profile, checked once, misspellings answered.
+"""Settings: flags over environment over `a4.toml` over profile, checked once, with suggestions for misspelt names.
 
     a4 predict mug.jpg "drink" --profile paper --set spotter.segmenter=sam2:tiny    flags
     A4_SPOTTER__SEGMENTER=sam2:tiny A4_PROFILE=paper                                 environment
@@ -29,18 +29,18 @@ FILE = "a4.toml"
 PREFIX = "A4_"
 OTHER_VARIABLES = frozenset({"A4_CACHE_DIR", "A4_SERVER_TOKEN"})
 STAGES = ("dreamer", "thinker", "spotter", "verifier")
-AN_EXPERT = "an expert is written 'provider:model' (such as 'sam2:tiny')"
+AN_EXPERT = "an expert is 'provider:model', such as 'sam2:tiny'"
 OFF = ("off", "none", False)
 
 
-class Table(BaseModel):
-    """A table of settings that knows its keys."""
+class SettingsTable(BaseModel):
+    """A table of settings; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class ExpertSettings(BaseModel):
-    """Which expert plays a role; what else stands in its table are its own settings."""
+    """The expert that plays a role; other keys are the expert's settings."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
@@ -71,7 +71,7 @@ class ExpertSettings(BaseModel):
         return dict(self.model_extra or {})
 
 
-class DreamerSettings(Table):
+class DreamerSettings(SettingsTable):
     vlm: ExpertSettings
     editor: ExpertSettings
     prompts: str = "paper"
@@ -80,7 +80,7 @@ class DreamerSettings(Table):
     required: bool = False
 
 
-class ThinkerSettings(Table):
+class ThinkerSettings(SettingsTable):
     vlm: ExpertSettings
     prompts: str = "paper"
     max_tokens: int = Field(default=2048, gt=0)
@@ -88,13 +88,13 @@ class ThinkerSettings(Table):
     structured: bool = False
 
 
-class SpotterSettings(Table):
+class SpotterSettings(SettingsTable):
     detector: ExpertSettings
     segmenter: ExpertSettings | None = None
     pairing: Literal["optimal", "paper", "inside"] = "optimal"
 
 
-class VerifierSettings(Table):
+class VerifierSettings(SettingsTable):
     """What is looked at after the Spotter, and by which experts; see `a4agent.stages.verifier`.
 
     Without a `vlm` of its own the Verifier asks the Thinker's.
@@ -111,12 +111,12 @@ class VerifierSettings(Table):
     max_tokens: int = Field(default=1024, gt=0)
 
 
-class ImageSettings(Table):
+class ImageSettings(SettingsTable):
     max_pixels: int = Field(default=MAX_PIXELS, gt=0)
 
 
-class EngineSettings(Table):
-    """How many samples at once are run; see `a4agent.engine`."""
+class EngineSettings(SettingsTable):
+    """How many samples run at once, and what stops a run; see `a4agent.engine`."""
 
     cache: Literal["off", "read", "write"] = "off"
     cache_dir: Path | None = None
@@ -132,8 +132,8 @@ class EngineSettings(Table):
     max_sample_seconds: float | None = Field(default=None, gt=0)
 
 
-class ProfileInfo(Table):
-    """What a profile tells people before they choose it."""
+class ProfileInfo(SettingsTable):
+    """What people read about a profile before they choose it."""
 
     summary: str = ""
     memory: str = ""
@@ -142,7 +142,7 @@ class ProfileInfo(Table):
     notes: str = ""
 
 
-class Settings(Table):
+class Settings(SettingsTable):
     """All settings of one agent, after merging."""
 
     name: str
@@ -182,35 +182,35 @@ def load_settings(
 
     Raises:
         UnknownNameError: an unknown profile, setting or `A4_` variable; the message suggests the nearest.
-        ConfigError: a value that does not fit, or a file that is not TOML; the message names where it stands.
+        ConfigError: an invalid value, or a file that is not TOML; the message names the source.
     """
     from_environment = _read_environment(os.environ if environ is None else environ)
     path = (folder or Path.cwd()) / FILE
     from_file = read_toml(path) if path.is_file() else {}
     named = from_file.pop("profile", None)
     if named is not None and not isinstance(named, str):
-        raise ConfigError(f"profile in {str(path)!r} is a profile's name or TOML file, as in profile = 'offline'")
+        raise ConfigError(f"profile = {named!r} in {str(path)!r} must be a name or a TOML file, such as 'offline'")
     chosen = profile or from_environment.pop("profile", None) or named or "offline"
     from_environment.pop("profile", None)
     return _merge(chosen, {str(path): from_file, "the environment": from_environment, "": _nested(overrides or {})})
 
 
 def load_profile(profile: str | Path) -> Settings:
-    """A profile by itself, whatever stands in the environment and in `a4.toml`.
+    """A profile by itself, without the environment and `a4.toml`.
 
     Raises:
         UnknownNameError: an unknown profile or setting; the message suggests the nearest.
-        ConfigError: a value that does not fit, or a file that is not TOML.
+        ConfigError: an invalid value, or a file that is not TOML.
     """
     return _merge(profile, {})
 
 
 def _merge(profile: str | Path, layers: Mapping[str, dict[str, Any]]) -> Settings:
-    """The settings of a profile with layers over it, by where each comes from; the last one wins."""
+    """The settings of a profile under layers, which are named by their source; the last one wins."""
     merged = conceal(_read_profile(profile))
     layers = {source: conceal(layer) for source, layer in layers.items()}
     for source, layer in layers.items():
-        if "name" in layer:  # the profile's own, which no layer may set
+        if "name" in layer:  # the profile's own; no layer may set it
             raise _unknown_setting(["name"], _from(source))
         _overlay(merged, layer)
     merged["name"] = Path(profile).stem if str(profile).endswith(".toml") else str(profile)
@@ -221,7 +221,7 @@ def _merge(profile: str | Path, layers: Mapping[str, dict[str, Any]]) -> Setting
 
 
 def parse_value(text: str) -> Any:
-    """A value typed on a command line or in a variable: TOML if it is TOML (4, true, [1, 2], "x"), else the text."""
+    """A value from a command line or a variable: TOML if it parses (4, true, [1, 2], "x"), else the text."""
     try:
         return toml.loads(f"value = {text}")["value"]
     except (toml.TOMLDecodeError, KeyError):
@@ -246,7 +246,7 @@ def _read_environment(environ: Mapping[str, str]) -> dict[str, Any]:
             continue
         if variable not in known and not any(variable.startswith(f"{name}__") for name in _expert_variables()):
             raise UnknownNameError.of("environment variable", variable, known | OTHER_VARIABLES)
-        if not text:  # as unset, which is how shells and compose files leave a variable out
+        if not text:  # shells and compose files leave variables out in this way
             continue
         keys = variable.removeprefix(PREFIX).lower().split("__")
         _put(found, keys, text if keys == ["profile"] else parse_value(text))
@@ -272,7 +272,7 @@ def _expert_variables() -> list[str]:
 
 def _table_of(annotation: Any) -> type[BaseModel] | None:
     for kind in getattr(annotation, "__args__", (annotation,)):
-        if isinstance(kind, type) and issubclass(kind, Table):
+        if isinstance(kind, type) and issubclass(kind, SettingsTable):
             return kind
     return None
 
@@ -290,9 +290,7 @@ def _put(tree: dict[str, Any], keys: list[str], value: Any) -> None:
         if isinstance(below, str) and below not in OFF:  # "spotter.segmenter" and then "spotter.segmenter.dtype"
             below = tree[key] = {"expert": below}
         if not isinstance(below, dict):
-            raise ConfigError(
-                f"setting {'.'.join(keys)!r} cannot be set beside {key} = {below!r}; leave one of them away"
-            )
+            raise ConfigError(f"setting {'.'.join(keys)!r} conflicts with {key} = {below!r}; remove one")
         tree = cast("dict[str, Any]", below)
     last = keys[-1]
     if isinstance(value, str) and value not in OFF and isinstance(tree.get(last), dict):
@@ -301,7 +299,7 @@ def _put(tree: dict[str, Any], keys: list[str], value: Any) -> None:
 
 
 def _overlay(base: dict[str, Any], layer: Mapping[str, Any]) -> None:
-    """Lay `layer` over `base`: tables merge, everything else replaces; "off" and False switch a table off."""
+    """Lay `layer` over `base`: tables merge, other values replace; "off" and False switch a table off."""
     for key, value in layer.items():
         below = base.get(key)
         if (key in STAGES or key == "segmenter") and value in OFF:
@@ -327,14 +325,14 @@ def _explained(error: ValidationError, profile: str, layers: Mapping[str, dict[s
     if first["type"] == "extra_forbidden":
         return _unknown_setting(place, where)
     if first["type"] == "missing":
-        return ConfigError(f"the setting {name!r} is missing in profile {profile!r}; add --set {name}=VALUE")
+        return ConfigError(f"the setting {name!r} is missing from profile {profile!r}; add --set {name}=VALUE")
     if name == "profile":
-        return ConfigError(f"setting 'profile'{where}: a profile is chosen with --profile or A4_PROFILE")
+        return ConfigError(f"setting 'profile'{where}: choose a profile with --profile or A4_PROFILE")
     if first["type"] == "value_error":
         return ConfigError(f"setting {name!r}{where}: {first['msg'].removeprefix('Value error, ')}")
     if first["type"] in ("model_type", "model_attributes_type"):
         off = " or 'off'" if name in ("dreamer", "thinker", "verifier") else ""
-        return ConfigError(f"setting {name!r}{where} takes a table of settings{off}, not {first['input']!r}")
+        return ConfigError(f"setting {name!r}{where} must be a table of settings{off}, not {first['input']!r}")
     return ConfigError(f"setting {name!r}{where}: {first['msg']}, not {first['input']!r}")
 
 
@@ -354,7 +352,7 @@ def _unknown_setting(place: list[str], where: str = "") -> UnknownNameError:
 
 
 def _stands_in(layer: Any, place: list[str]) -> bool:
-    """Whether a layer sets what stands at `place`, or, as one value, something above it."""
+    """Whether a layer sets the value at `place`, or a single value above it."""
     for part in place:
         if not isinstance(layer, Mapping):
             return True

@@ -1,10 +1,10 @@
-"""Names that packages register: entry points of one group, and what a process adds for itself.
+"""Names that packages register as entry points of one group, and names that this process adds.
 
     experts = Plugins("a4agent.experts", "expert provider")
     experts.find("sam2")          -> the object that the entry point "sam2" names, imported now
     experts.find("sam22")         -> UnknownNameError: unknown expert provider 'sam22'; did you mean 'sam2'?
 
-Nothing is imported before it is asked for; a broken package is a warning that names it.
+Nothing is imported before `find` asks for it; a broken package is a warning that names it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from a4agent.errors import A4Error, ConfigError, UnknownNameError
 
 
 class Plugins:
-    """The names of one entry-point group; `kind` is what an error calls them, `hint` where it points."""
+    """The names of one entry-point group; errors call them `kind` and end with `hint`."""
 
     def __init__(self, group: str, kind: str, hint: str = "") -> None:
         self.group = group
@@ -30,7 +30,7 @@ class Plugins:
 
     @property
     def installed(self) -> Mapping[str, EntryPoint]:
-        """The entry points of the packages that are installed, by name. Read once a process."""
+        """The entry points of installed packages, by name. Read once a process."""
         if self._installed is None:
             self._installed = {}
             for point in entry_points(group=self.group):
@@ -40,7 +40,7 @@ class Plugins:
         return self._installed
 
     def forget(self) -> None:
-        """Look for installed packages anew, next time."""
+        """Read the installed packages again next time."""
         self._installed = None
 
     def register(self, name: str, value: Any) -> None:
@@ -52,11 +52,11 @@ class Plugins:
         return sorted({*self.installed, *self.added})
 
     def find(self, name: str) -> Any:
-        """What `name` stands for.
+        """The object registered as `name`.
 
         Raises:
-            UnknownNameError: nobody registered it; the message suggests the nearest name.
-            ConfigError: it is registered, but its module cannot be loaded.
+            UnknownNameError: the name is not registered; the message suggests the nearest.
+            ConfigError: the name is registered, but its module cannot be imported.
         """
         if name in self.added:
             return self.added[name]
@@ -68,7 +68,7 @@ class Plugins:
         except A4Error:
             raise
         except Exception as error:
-            message = f"the {self.kind} {name!r} ({point.value}) cannot be loaded: {error!r}"
+            message = f"the {self.kind} {name!r} ({point.value}) cannot be imported: {error!r}"
             self._warn(message)
             raise ConfigError(message) from error
 
@@ -78,7 +78,7 @@ class Plugins:
 
 
 def keywords_of(factory: Callable[..., Any]) -> dict[str, Any] | None:
-    """Names and defaults of a factory's keyword-only parameters; None if it takes any."""
+    """Names and defaults of a factory's keyword-only parameters; None if it takes any keyword."""
     parameters = inspect.signature(factory).parameters.values()
     if any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters):
         return None

@@ -192,6 +192,19 @@ def test_preparing_waits_for_those_that_segment_and_keeps_within_bounds(make: Ma
     assert segmenter.done[3:] == [1, 2, 3, 4, 5, 8, 9, 10]
 
 
+def test_images_prepared_together_stay_within_the_same_bounds(make: Make) -> None:
+    segmenter = SlowSegmenter()
+    segmenter.max_batch = 3
+    dispatcher = make(segmenter, batch_wait=0.0)
+    dispatcher.submit(QueuedRequest(SegmentRequest(PHOTO, ())))
+    for number in range(1, 11):
+        dispatcher.prepare(Image.new("RGB", (number, 4)))
+    segmenter.gate.set()
+    until(lambda: len(segmenter.done) == 1 + PREPARED_AHEAD)
+    time.sleep(0.02)
+    assert segmenter.done == ["s", 1, 2, 3, 4]
+
+
 def test_a_preparation_that_hangs_does_not_block_the_segmenter_for_good(make: Make) -> None:
     release = threading.Event()
 

@@ -52,6 +52,8 @@ def test_an_error_whose_constructor_wants_more_is_shared() -> None:
 
 
 def trip(breaker: Breaker) -> None:
+    """Ten failures in a row, as documented."""
+    assert FAILURES_TO_OPEN == 10
     for _ in range(FAILURES_TO_OPEN):
         breaker.enter()
         breaker.failed(ProviderUnavailable("down"))

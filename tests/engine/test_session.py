@@ -410,10 +410,34 @@ def test_enough_samples_are_in_flight_for_the_slowest_expert() -> None:
     few = A4Agent(None, None, Spotter(ScriptedDetector(), ScriptedSegmenter()))
     many = A4Agent(None, None, Spotter(ScriptedDetector(max_batch=8, concurrency=4), ScriptedSegmenter()))
     huge = A4Agent(None, None, Spotter(ScriptedDetector(concurrency=1000), ScriptedSegmenter()))
-    assert in_flight(few) >= 3
-    assert in_flight(many) >= 8 * 4 + 1 + 1
+    assert in_flight(few) == (1 + 1) + 1 + 2  # what both can hold, the largest once more, and two
+    assert in_flight(many) == (8 * 4 + 1) + 8 * 4 + 2
     assert in_flight(huge) == 128
     assert in_flight(huge, in_flight=200) == 200
+
+
+def test_a_stage_cannot_tell_a_queued_expert_from_its_own() -> None:
+    agent, experts = make_agent()
+    session = EngineSession(agent, EngineSettings())
+    seen: list[Any] = []
+    session._agent.with_experts(lambda queued: seen.append(queued) or queued)
+    session.close()
+    assert {queued.id for queued in seen} == {expert.id for expert in experts.values()}
+    for queued in seen:
+        own = next(expert for expert in experts.values() if expert.id == queued.id)
+        assert (queued.max_batch, queued.concurrency) == (own.max_batch, own.concurrency)
+        assert queued.fingerprint() == own.fingerprint()
+        for verb in ("chat", "edit", "detect", "segment"):
+            assert hasattr(queued, verb) == hasattr(own, verb)
+
+
+def test_what_a_model_said_about_an_invalid_sample_is_asked_again(write: EngineSettings) -> None:
+    query = Query("a", np.zeros((8, 8, 3), np.uint8), "open")
+    for text, status, asked_times in (("hm", "invalid", 1), (output("the handle"), "ok", 1), ("hm", "ok", 0)):
+        vlm = ScriptedVLM(lambda request, text=text: text, id="vlm:moody")
+        agent = A4Agent(None, Thinker(vlm, reasks=0), Spotter(ScriptedDetector(), ScriptedSegmenter()))
+        ((_, affordance),) = engine.run(agent, [query], settings=write)
+        assert (affordance.status, len(vlm.requests)) == (status, asked_times)
 
 
 def test_one_expert_in_two_roles_shares_a_queue(queries: Queries) -> None:

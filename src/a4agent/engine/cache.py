@@ -202,7 +202,7 @@ def _plain(value: Any) -> Any:
         return {name: _plain(item) for name, item in held.items() if item is not None and not callable(item)}
     if isinstance(value, Mapping):
         return {str(name): _plain(item) for name, item in cast("Mapping[Any, Any]", value).items()}
-    if isinstance(value, Sequence) and not isinstance(value, bytes):
+    if isinstance(value, Sequence):
         return [_plain(item) for item in cast("Sequence[Any]", value)]
     return str(value)
 
