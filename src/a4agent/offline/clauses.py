@@ -75,8 +75,10 @@ _GIVEN = re.compile(
 _RULED_OUT = re.compile(
     r"\b(without|instead of|rather than|but not|and not|not|never|neither|do not|avoid(?:ing)?|except(?: for)?"
     r"|excluding|other than|anything but|anywhere but|apart from"
-    r"|(?:keep|stay|leave)(?: \w+){0,2} (?:off|away from|clear of))\b[^,;:.!?]*"
+    r"|mind (?=the|its|your)|beware of|(?:be )?careful with|watch out for"
+    r"|leave (?:\w+ ){1,3}alone|(?:keep|stay|leave)(?: \w+){0,2} (?:off|away from|clear of))\b[^,;:.!?]*"
 )
+_COMPLAINT = re.compile(r"(?<!you )(?<!which )(?<!that )\b(will|does|did|would|could) not\b")  # "it will not open"
 _RULED_IN_AGAIN = re.compile(r"\b(?:and|then|but(?! not)|when|while|as|if|so that|to (?=\w+ ?$))\b.*$")
 _PURPOSE = re.compile(
     r"\b(?:so that|so as to|in order to|in order that|so(?= (?:i|you|we|they|he|she|it|the|my)\b)|because|since"
@@ -141,6 +143,7 @@ def _tidy(text: str) -> str:
 def set_apart(text: str) -> tuple[str, str]:
     """The text without what it rules out, and what that is."""
     ruled_out: list[str] = []
+    text = _COMPLAINT.sub(r"\1", text)
 
     def take(match: re.Match[str]) -> str:
         span = match[0]

@@ -26,6 +26,7 @@ from a4agent.offline.wording import Decision, decision, held, listed, noun_of, r
 _FACTS = re.compile(
     r"(?:who|whose|whom|why|when (?:did|do|does|is|was|were|will)|what (?:time|day|year|is the (?!handle|part)))\b"
 )
+_SHUT = frozenset(["stuck", "jammed", "sealed", "closed", "shut"])
 _PART_FOR = re.compile(r"\bparts? (?:.* )?(?:could|for|used|suitable|meant)\b")
 _UNDERGONE = frozenset(["climb", "drink", "kick", "lie", "play", "ride", "sit", "throw", "wear", "contain"])
 """Actions that a named thing undergoes itself: nobody reaches for a ball to kick a door."""
@@ -148,7 +149,9 @@ class _Decider(Situation):
     def _owner_of(self, part: Noun, before: Sequence[Noun], after: Sequence[Noun]) -> Noun | None:
         """Whose part it is: a thing that is named before or after, one in the picture, a tool, or "the object"."""
         candidates = [
-            n for n in (*reversed(before), *after) if (n.part is None or n.thing) and not n.generic and n.owner is None
+            n
+            for n in (*reversed(before), *after, *self.reading.unwanted)
+            if (n.part is None or n.thing) and not n.generic and n.owner is None
         ]
         for noun in candidates:
             if noun.thing and noun.thing.part_named(part.part or ""):
@@ -192,6 +195,8 @@ class _Decider(Situation):
             return held(owner, part)
         if sense and (part := self._part(thing, sense[0])):
             return decision(owner, part, sense[0], f"That is the {part.name} of the {owner.name}.")
+        if "pour" in wanted and thing.part_for("emit"):
+            wanted = ["emit", *wanted]
         for action in wanted:
             rim = thing.part_named("rim") if action == "drink" else None
             if part := rim or self._part(thing, action):
@@ -281,6 +286,8 @@ class _Decider(Situation):
                 f"{with_article(wish[0].name).capitalize()} would help: use the {part.name}.",
             )
         noun = candidates[0]
+        if not verbs and noun.thing and _SHUT & set(self.reading.words) and (part := self._part(noun.thing, "open")):
+            return decision(noun, part, "open", f"To open the {noun.name}, use the {part.name}.")
         if not verbs and noun.thing and len(candidates) == 1 and not self._states:
             part = self._part(noun.thing, "grasp") or noun.thing.parts[0]
             return decision(noun, part, "grasp", f"Only the {noun.name} is named: hold the {part.name}.")

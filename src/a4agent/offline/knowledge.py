@@ -257,7 +257,8 @@ _IRREGULAR = {
     "ate": "eat", "eaten": "eat", "dug": "dig", "swept": "sweep", "wrote": "writ", "written": "writ", "drew": "draw",
     "threw": "throw", "sat": "sit", "lay": "li", "hung": "hang", "shut": "shut", "knives": "knif", "leaves": "leaf",
     "lying": "li", "driven": "driv", "drove": "driv", "worn": "wear", "wore": "wear", "sewn": "sew", "teeth": "teeth",
-    "tied": "ti", "tying": "ti", "men": "man", "loaves": "loaf", "shelves": "shelf", "halves": "halv",
+    "tied": "ti", "tying": "ti", "men": "man", 
+    "goes": "go", "does": "do", "went": "go", "loaves": "loaf", "shelves": "shelf", "halves": "halv",
 }  # fmt: skip
 
 

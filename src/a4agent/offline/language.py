@@ -101,7 +101,7 @@ def read(instruction: str) -> Reading | None:
         things = [noun.owner or noun for noun in unwanted if noun.thing or (noun.owner and noun.owner.thing)]
         verbs, named = out_verbs, [replace(noun, role="object") for noun in things[:1]]
         unwanted = [noun for noun in unwanted if noun.part]
-        if not things:  # "avoid the blade"
+        if not things and any(noun.part for noun in unwanted):  # "avoid the blade"
             verbs = [Verb("hold", "hold", ("grasp",), 0, 0)]
             named = [Noun("object", 0, 0, definite=True, pronoun=True)]
         words, out_verbs = out, []
@@ -187,6 +187,8 @@ def _is_verb(words: Sequence[str], mention: Mention[tuple[str, ...]], know: Know
         return False
     if gerund and before in _ENABLES:
         return True
+    if written in (("look",), ("looks",)) and after not in PREPOSITIONS:  # "it looks tasty"
+        return False
     if before in _MODALS and mention.start:
         return True
     if before in PREPOSITIONS or before in {"for", "without", "before", "after"}:

@@ -90,8 +90,12 @@ class Noun:
         )
 
 
+_REMOVABLE = word_set("cap lid top cover cork stopper")
 _OF_PEOPLE = word_set("hand hands finger fingers thumb palm foot feet grip way time")
 """What is not in the picture as a thing to act on."""
+_OF_BODIES = word_set(
+    "mouth lip lips head neck arm arms leg legs back face teeth foot feet ear ears nose hair hairs shoulder"
+)
 
 
 def nouns(words: list[str], in_verb: set[int], know: Knowledge) -> list[Noun]:
@@ -133,6 +137,7 @@ def _add(found: list[Noun], noun: Noun, role: Role) -> None:
             found[-1] = replace(last, owner=noun, end=noun.end)
             return
         fits = noun.thing is not None and last.part is not None and noun.thing.part_named(last.part)
+        fits = fits or (role == "place" and last.part in _REMOVABLE and noun.thing is not None)
         if last.part and (of or fits) and not (last.thing and not fits):
             found[-1] = replace(last, owner=noun, thing=None, end=noun.end)
             return
@@ -167,6 +172,8 @@ def _phrase(words: list[str], start: int, in_verb: set[int], know: Knowledge) ->
     end = index + (index > start and words[index : index + 1] == ["inside"])
     while end < len(words) and end not in in_verb and words[end] not in _STOP_WORDS and words[end] not in MARKS:
         end += 1
+    if "back" in words[index + 1 : end]:  # "put the lid back on"
+        end = words.index("back", index + 1)
     run = list(words[index:end])
     after = words[start + 1] if start + 1 < len(words) else "."
     if words[start] == "that" and (start + 1 in in_verb or after in BEFORE_VERBS - MARKS or after in {"has", "can"}):
@@ -188,6 +195,8 @@ def _phrase(words: list[str], start: int, in_verb: set[int], know: Knowledge) ->
                 return owner
             return replace(rest, owner=owner, start=start) if owner else replace(rest, start=start)
     noun = _named(run, index, definite, know, asked=bool({"which", "what"} & set(words[start:index])))
+    if noun and noun.part in _OF_BODIES and not noun.thing and {"my", "your", "his", "her"} & set(words[start:index]):
+        return None
     return replace(noun, start=start) if noun else None
 
 
@@ -228,7 +237,11 @@ def _named(
         return Noun(
             text, at, at + part.end, part=part.value, qualifiers=_qualifiers(words[: part.start]), definite=article
         )
-    kept = [word for word in words if word not in QUALIFIERS and not (word.endswith("ly") and len(word) > 4)]
+    kept = [
+        word
+        for word in words
+        if word not in QUALIFIERS and word not in ("far", "very") and not (word.endswith("ly") and len(word) > 4)
+    ]
     if not kept or kept[-1] in _OF_PEOPLE:
         return (
             None

@@ -16,7 +16,8 @@ INSTEAD = {
     "fasten": ("turn", "open"), "turn": ("adjust", "activate"), "lean": ("sit",), "press": ("activate", "squeeze"),
     "wrap-grasp": ("grasp",), "pry": ("open",), "scoop": ("contain",), "contain": ("scoop", "open"),
     "support": ("contain", "flip"), "activate": ("press", "open"), "squeeze": ("grasp",), "pull": ("open", "grasp"),
-    "push": ("press", "close", "grasp"), "unlock": ("open",), "wash": ("grasp",), "cook": ("contain",),
+    "push": ("press", "close", "grasp"),
+    "swing": ("grasp",), "pound": ("chop",), "unlock": ("open",), "wash": ("grasp",), "cook": ("contain",),
 }  # fmt: skip
 """What comes close to an action that no part of a thing is there for."""
 
@@ -125,7 +126,7 @@ class Situation:
 
     def _vessel(self) -> tuple[Thing, str] | None:
         """What a drink is in, when a hand takes it: "hold my coffee"."""
-        if not any(set(verb.actions) & {"grasp", "drink"} for verb in self.reading.verbs[:1]):
+        if self._things or not any(set(verb.actions) & {"grasp", "drink"} for verb in self.reading.verbs[:1]):
             return None
         pairs = (pair for theme in self.know.find_themes(self.reading.words) for pair in theme.value)
         return next(((self.know.objects[name], "grasp") for action, name in pairs if action == "drink"), None)
@@ -164,7 +165,16 @@ class Situation:
     def _wanted_actions(self) -> list[str]:
         """The actions of the verbs; a relative clause's before those that only fetch ("find", "use")."""
         asked = [verb for verb in self.reading.verbs if verb.text in ("holds", "keeps")]
-        return [*(["contain"] if asked else []), *(action for verb in self.reading.verbs for action in verb.actions)]
+        itself = [verb for verb in self.reading.verbs if verb.text == verb.base + "s"]  # what the part does, not a hand
+        return [
+            *(["contain"] if asked else []),
+            *(
+                action
+                for verb in self.reading.verbs
+                for action in verb.actions
+                if verb not in itself or action not in ("grasp", "pull", "push")
+            ),
+        ]
 
     @property
     def _asks_for_a_tool(self) -> bool:

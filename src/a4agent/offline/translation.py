@@ -21,6 +21,13 @@ _ENOUGH = 0.75
 """The share of a foreign sentence's words that must be in its table."""
 
 
+_ADJECTIVE_LAST = re.compile(
+    r"\b(?!the\b|a\b|on\b|at\b|my\b|and\b|to\b)([a-z]+) (red|black|blue|green|white|left|right)\b"
+    r"(?=[ ,.!?]*(?:$|of|with|from|by|in|on|and|please))"
+)
+"""A colour or side after its noun, as in Spanish."""
+
+
 @dataclass(frozen=True)
 class _Language:
     frames: tuple[tuple[str, str], ...]
@@ -57,7 +64,8 @@ def in_english(text: str) -> str | None:
         return None
     for pattern, frame in best.frames:
         plain = re.sub(pattern, frame, plain)
-    return _translated(re.findall(r"[a-z0-9]+(?:-[a-z0-9]+)*|[,;:.!?]", plain), best)
+    english_text = _translated(re.findall(r"[a-z0-9]+(?:-[a-z0-9]+)*|[,;:.!?]", plain), best)
+    return _ADJECTIVE_LAST.sub(r"\2 \1", english_text)
 
 
 def _without_accents(text: str) -> str:
