@@ -99,7 +99,7 @@ def test_masks_are_kept_as_a_run_of_that_name(data: Path, tmp_path: Path, capsys
     assert a4("score", "folder", "--predictions", tmp_path / "theirs", "--data", data, *kept) == 1
     assert f"kept as a run in {run}" in capsys.readouterr().err
     assert a4("tables", run, "--format", "csv") == 0
-    assert "folder,LISA-7B,scored here,33.33" in capsys.readouterr().out
+    assert "folder,LISA-7B,scored here,undeclared,33.33" in capsys.readouterr().out
 
 
 def test_kept_masks_are_scored_once(

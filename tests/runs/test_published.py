@@ -15,6 +15,7 @@ def test_every_published_table_is_rectangular_and_in_percent() -> None:
     for table in tables.values():
         assert all(len(values) == len(table.columns) for values in table.rows.values())
         assert all(0 <= value <= 100 for values in table.rows.values() for value in values)
+        assert table.trained <= set(table.rows), "a misspelt name would be ranked among the training-free"
         assert all(column.measure in MEASURES for column in table.columns)
     assert published.table("umd").rows["A4-Agent"] == (65.38, 59.81, 77.31, 43.78)
     assert published.table("ragnet").rows["AffordanceVLM"] == (38.1, 39.4, 58.3, 58.1, 58.2, 57.8)
@@ -29,3 +30,10 @@ def test_a_benchmark_has_the_table_that_compares_systems_on_it() -> None:
     assert found is not None
     assert found.key == "ragnet", "and not one of the ablations"
     assert published.of_benchmark("folder") is None
+
+
+def test_newer_systems_have_a_source_and_a_group() -> None:
+    assert published.peers()
+    for peer in published.peers():
+        assert peer.source.startswith("arXiv ")
+        assert peer.group in published.GROUPS

@@ -16,7 +16,7 @@ from a4agent.errors import DataError
 from a4agent.runs import published, scores
 from a4agent.runs.bench import Bench, Selection
 from a4agent.runs.store import Run
-from a4agent.runs.tables import FORMS, Cell, Filled, Line, fill
+from a4agent.runs.tables import FORMS, Cell, Filled, Line, fill, group_of
 
 MakeBench = Callable[..., Bench]
 
@@ -36,7 +36,34 @@ def test_our_row_stands_under_the_published_one_of_its_name(on: Callable[..., Ru
     (table,) = fill([on("umd", label="Seg-Zero")])
     names = [(line.name, line.source == "ours") for line in table.lines]
     assert names.index(("Seg-Zero", True)) == names.index(("Seg-Zero", False)) + 1
-    assert [name for name, ours in names if not ours] == list(published.table("umd").rows)
+    assert {name for name, ours in names if not ours} == set(published.table("umd").rows)
+
+
+def test_groups_are_never_in_one_ranking(on: Callable[..., Run]) -> None:
+    (table,) = fill([on("umd", label="mine"), on("umd", 1, label="peeking", oracle="detector")])
+    groups = [line.group for line in table.lines]
+    assert groups == sorted(groups, key=list(published.GROUPS).index)
+    group = {line.name: line.group for line in table.lines}
+    assert (group["A4-Agent"], group["mine"], group["Affordance-R1"]) == ("training-free", "training-free", "trained")
+    assert group["peeking, detector by the truth"] == "truth"
+    text = table.render("markdown")
+    headings = [text.index(f"| *{published.GROUPS[name]}*") for name in ("training-free", "trained", "truth")]
+    assert headings == sorted(headings)
+    assert "truth of the test set seen: yes" in text
+    assert "Not in this table, trained for this kind of task: AFUN (arXiv 2606.02551" in text
+    assert r"\multicolumn{5}{l}{\emph{trained for this kind of task}}" in table.render("latex")
+
+
+def test_what_is_declared_decides_the_group(run: Run) -> None:
+    def group(**leaks: str) -> str:
+        manifest = replace(run.manifest, about={**run.manifest.about, "leaks": leaks})
+        return group_of([replace(run, manifest=manifest)])
+
+    assert group() == "training-free"
+    assert group(trained="yes") == "trained"
+    assert group(trained="yes", shared="yes") == "truth"
+    external = replace(run.manifest, identity={**run.manifest.identity, "predictions": "sha"})
+    assert group_of([replace(run, manifest=external)]) == "undeclared"
 
 
 def test_a_configuration_is_found_under_each_name_that_a_table_gave_it(on: Callable[..., Run]) -> None:

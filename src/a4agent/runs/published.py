@@ -10,12 +10,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 from a4agent.errors import UnknownNameError
 from a4agent.files import read_package_toml
 
 SOURCE = "arXiv 2512.14442"
 OURS = "A4-Agent"
+GROUPS = {
+    "training-free": "training-free",
+    "trained": "trained for this kind of task",
+    "truth": "with truth of the test set, as a memory or an oracle",
+    "undeclared": "training not declared (a4 score --leak)",
+}
+"""What may be ranked together, and how it is headed."""
 
 
 @dataclass(frozen=True)
@@ -27,9 +35,19 @@ class Column:
     measure: str
 
 
+@dataclass(frozen=True)
+class Peer:
+    """A system that a table does not hold: where it is described, its group of `GROUPS`, and what to know of it."""
+
+    name: str
+    source: str
+    group: str
+    note: str
+
+
 @dataclass(frozen=True, eq=False)
 class Table:
-    """One table of the paper, in percent."""
+    """One table of the paper, in percent. `trained` names the rows that are not training-free."""
 
     key: str
     number: int
@@ -38,6 +56,11 @@ class Table:
     columns: tuple[Column, ...]
     rows: Mapping[str, tuple[float, ...]]
     notes: tuple[str, ...]
+    trained: frozenset[str] = frozenset()
+
+    def group(self, name: str) -> str:
+        """Which of `GROUPS` a row belongs to."""
+        return "trained" if name in self.trained else "training-free"
 
     @property
     def benchmarks(self) -> tuple[str, ...]:
@@ -57,9 +80,22 @@ def tables() -> dict[str, Table]:
             columns=tuple(Column(**column) for column in data["columns"]),
             rows={name: tuple(values) for name, values in data["rows"].items()},
             notes=tuple(data["notes"]),
+            trained=frozenset(data["trained"]),
         )
-        for key, data in read_package_toml("a4agent.runs", "published.toml").items()
+        for key, data in _file().items()
+        if key != "peers"
     }
+
+
+@cache
+def peers() -> tuple[Peer, ...]:
+    """Newer systems that are named without numbers."""
+    return tuple(Peer(**peer) for peer in _file()["peers"])
+
+
+@cache
+def _file() -> dict[str, Any]:
+    return read_package_toml("a4agent.runs", "published.toml")
 
 
 def table(key: str) -> Table:

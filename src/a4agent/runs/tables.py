@@ -20,6 +20,7 @@ from typing import Literal
 from a4agent import metrics
 from a4agent.errors import DataError
 from a4agent.runs import published, scores
+from a4agent.runs.manifest import LEAKS
 from a4agent.runs.published import OURS, Table
 from a4agent.runs.store import Run
 
@@ -38,11 +39,15 @@ class Cell:
 
 @dataclass(frozen=True)
 class Line:
-    """One row of a table. `source` is "published", "ours", or "scored here": another system's masks, our scores."""
+    """One row of a table. `source` is "published", "ours", or "scored here": another system's masks, our scores.
+
+    `group` is one of `published.GROUPS`; rows of different groups are never in one ranking.
+    """
 
     name: str
     cells: tuple[Cell, ...]
     source: Source = "published"
+    group: str = "training-free"
 
 
 @dataclass(frozen=True)
@@ -83,26 +88,68 @@ def fill(runs: Sequence[Run], key: str | None = None) -> list[Filled]:
 
 
 def _filled(table: Table, runs: Sequence[Run]) -> Filled:
-    theirs = [Line(name, tuple(Cell(value) for value in values)) for name, values in table.rows.items()]
+    theirs = [
+        Line(name, tuple(Cell(value) for value in values), group=table.group(name))
+        for name, values in table.rows.items()
+    ]
     ours = [
-        Line(name, tuple(_cell(run_of.get(column.benchmark), column.measure) for column in table.columns), source)
+        Line(
+            name,
+            tuple(_cell(run_of.get(column.benchmark), column.measure) for column in table.columns),
+            source,
+            group_of(list(run_of.values()), table, name),
+        )
         for name, source, run_of in _systems(runs, table.rows)
     ]
     return Filled(
         title=f"Table {table.number} of {published.SOURCE}: {table.title}",
         columns=tuple(column.name for column in table.columns),
         decimals=table.decimals,
-        lines=tuple(_beside(theirs, ours)),
-        notes=(*table.notes, *_notes(runs, table.rows)),
+        lines=_grouped(_beside(theirs, ours)),
+        notes=(*table.notes, *_notes(runs, table.rows), *_peer_notes()),
     )
 
 
 def _alone(benchmark: str, runs: Sequence[Run]) -> Filled:
     lines = [
-        Line(name, tuple(_cell(run_of[benchmark], measure) for measure in metrics.MEASURES), source)
+        Line(
+            name,
+            tuple(_cell(run_of[benchmark], measure) for measure in metrics.MEASURES),
+            source,
+            group_of([run_of[benchmark]]),
+        )
         for name, source, run_of in _systems(runs, ())
     ]
-    return Filled(benchmark, tuple(metrics.MEASURES.values()), 2, tuple(lines), tuple(_notes(runs, ())))
+    return Filled(benchmark, tuple(metrics.MEASURES.values()), 2, _grouped(lines), tuple(_notes(runs, ())))
+
+
+def group_of(runs: Sequence[Run], table: Table | None = None, name: str = "") -> str:
+    """Which of `published.GROUPS` a system is in, by the leaks of its runs and the published row of its name."""
+    leaks = [run.manifest.leaks for run in runs]
+    if any("yes" in (leak["truth"], leak["shared"]) for leak in leaks):
+        return "truth"
+    if any(leak["trained"] == "yes" for leak in leaks):
+        return "trained"
+    if table and name in table.rows:
+        return table.group(name)
+    declared = all(leak["trained"] == "no" for leak in leaks)
+    return "training-free" if declared or not any(run.external for run in runs) else "undeclared"
+
+
+def _grouped(lines: Iterable[Line]) -> tuple[Line, ...]:
+    order = list(published.GROUPS)
+    return tuple(sorted(lines, key=lambda line: order.index(line.group)))
+
+
+def _peer_notes() -> list[str]:
+    """Systems named without numbers, one line for each group."""
+    return [
+        f"Not in this table, {heading}: "
+        + "; ".join(f"{peer.name} ({peer.source}: {peer.note})" for peer in published.peers() if peer.group == group)
+        + "."
+        for group, heading in published.GROUPS.items()
+        if any(peer.group == group for peer in published.peers())
+    ]
 
 
 def _systems(runs: Iterable[Run], names: Container[str]) -> list[tuple[str, Source, dict[str, Run]]]:
@@ -161,9 +208,17 @@ def _notes(runs: Iterable[Run], names: Container[str]) -> list[str]:
         shuffled = f" after a shuffle with seed {selection['shuffle']}" if selection["shuffle"] is not None else ""
         notes.append(
             f"{_label(run, names)} on {_benchmark(run)} ({run.manifest.hash}): protocol {found.protocol},"
-            f" {found.n} samples{part}{chosen}{shuffled}, {found.n_scored} scored, {found.n_failed} failed."
+            f" {found.n} samples{part}{chosen}{shuffled}, {found.n_scored} scored, {found.n_failed} failed"
+            f"{_abstained(run)}. "
+            + "; ".join(f"{question}: {run.manifest.leaks[leak]}" for leak, question in LEAKS.items())
+            + "."
         )
     return notes
+
+
+def _abstained(run: Run) -> str:
+    count = sum(record.status == "abstained" for record in run.records.values())
+    return f", {count} abstained and scored as they are" if count else ""
 
 
 @lru_cache(maxsize=64)
@@ -183,12 +238,23 @@ def _number(cell: Cell, decimals: int, plus_minus: str) -> str:
     return text if cell.half_width is None else f"{text} {plus_minus} {cell.half_width:.1f}"
 
 
+def _with_headings(table: Filled) -> Iterable[tuple[Line, str]]:
+    """The lines, each with the heading to print above it: its group's name where one of several groups begins."""
+    several = len({line.group for line in table.lines}) > 1
+    before = ""
+    for line in table.lines:
+        yield line, published.GROUPS[line.group] if several and line.group != before else ""
+        before = line.group
+
+
 def _markdown(table: Filled) -> str:
     def escaped(text: str) -> str:
         return text.replace("\\", "\\\\").replace("|", "\\|")
 
     rows = [["Model", *table.columns]]
-    for line in table.lines:
+    for line, heading in _with_headings(table):
+        if heading:
+            rows.append([f"*{heading}*", *([""] * len(table.columns))])
         name = escaped(line.name) if line.source == "published" else f"**{escaped(line.name)}** ({line.source})"
         rows.append([name, *(_number(cell, table.decimals, "±") for cell in line.cells)])
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
@@ -218,7 +284,9 @@ def _latex(table: Filled) -> str:
         "    " + " & ".join(["Model", *map(escaped, table.columns)]) + r" \\",
         r"    \midrule",
     ]
-    for line in table.lines:
+    for line, heading in _with_headings(table):
+        if heading:
+            lines.append(f"    \\multicolumn{{{len(table.columns) + 1}}}{{l}}{{\\emph{{{escaped(heading)}}}}} \\\\")
         bold = f"\\textbf{{{escaped(line.name)}}} ({line.source})"
         name = escaped(line.name) if line.source == "published" else bold
         cells = [_number(cell, table.decimals, r"$\pm$").replace("–", "--") for cell in line.cells]
@@ -229,12 +297,14 @@ def _latex(table: Filled) -> str:
 def _csv(table: Filled) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["table", "model", "source", *(part for c in table.columns for part in (c, f"{c} 95% half width"))])
+    writer.writerow(
+        ["table", "model", "source", "group", *(part for c in table.columns for part in (c, f"{c} 95% half width"))]
+    )
     for line in table.lines:
         cells = [
             "" if value is None else f"{value:.{table.decimals}f}"
             for cell in line.cells
             for value in (cell.value, cell.half_width)
         ]
-        writer.writerow([table.title, line.name, line.source, *cells])
+        writer.writerow([table.title, line.name, line.source, line.group, *cells])
     return text.getvalue()
