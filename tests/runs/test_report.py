@@ -2,26 +2,42 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 import re
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 import pictures
 from a4agent.errors import DataError
 from a4agent.imaging.masks import decode_rle, encode_rle
-from a4agent.runs import scores
+from a4agent.runs import scores, trust
 from a4agent.runs.bench import Bench, Selection
-from a4agent.runs.report import _stages, picture_side, render, small_mask, write_report
+from a4agent.runs.compare import compare
+from a4agent.runs.report import (
+    _embedded,
+    _stages,
+    picture_side,
+    render,
+    render_comparison,
+    small_mask,
+    write_comparison,
+    write_report,
+)
 from a4agent.runs.store import Record, Run
+from a4agent.runs.trust import with_accept
 
 MakeBench = Callable[..., Bench]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -175,6 +191,10 @@ def test_a_browser_filters_and_sorts(run: Run, page: Any) -> None:
     assert cards(page) == ["picture 15"]
     page.fill("#search", "not welcome")
     assert cards(page) == ["picture 0", "picture 10"], "errors are searched, too"
+    page.fill("#search", "it is red")
+    assert len(cards(page)) == 18, "the thinking is searched, too"
+    page.fill("#search", "no idea")
+    assert cards(page) == ["picture 1", "picture 11"], "and what a model answered"
     page.click("#clear")
     page.select_option("#tag", "category=kind 1")
     assert cards(page) == [f"picture {number}" for number in range(20) if number % 3 == 1]
@@ -269,3 +289,118 @@ def test_dark_and_light(run: Run, page: Any) -> None:
     page.emulate_media(color_scheme="dark")
     page.reload()
     assert page.evaluate(ground) == dark != light
+
+
+def rated(run: Run, accept: float = 0.5) -> Run:
+    """The run with confidences and checks, as a Verifier gives them."""
+    rows = [{**record.row, "confidence": 0.1 + 0.04 * i} for i, record in enumerate(run.records.values())]
+    checks = [{"name": "mirror", "value": None, "note": "the mirrored <b>mask</b> agrees", "blame": ""}]
+    records = {row["id"]: Record({**row, "checks": checks}) for row in rows}
+    return with_accept(replace(run, records=records), accept)
+
+
+def test_pictures_are_shrunk_to_the_page() -> None:
+    wide = Image.fromarray(np.random.default_rng(0).integers(0, 255, (600, 768, 3), dtype=np.uint8))
+    with tempfile.TemporaryDirectory() as folder:
+        wide.save(Path(folder) / "a.jpg")
+        sizes = [Image.open(io.BytesIO(base64.b64decode(_embedded(Path(folder), "a.jpg", n)))).size for n in (320, 640)]
+    assert sizes == [(320, 250), (640, 500)]
+
+
+@pytest.mark.parametrize("name", ["../outside.jpg", "/tmp/outside.jpg", "images/link.jpg", "images/bomb.png"])
+def test_only_the_runs_own_pictures_are_embedded(run: Run, name: str) -> None:
+    small = Image.new("RGB", (8, 8), "red")
+    small.save(run.folder.parent / "outside.jpg")
+    (run.folder / "images" / "link.jpg").symlink_to(run.folder.parent / "outside.jpg")
+    Image.new("1", (20_000, 20_000)).save(run.folder / "images" / "bomb.png")
+    record = next(iter(run.records.values()))
+    records = {
+        "x": Record({**record.row, "id": "x", "pictures": {"original": name.replace("/tmp", str(run.folder.parent))}})
+    }
+    (sample,) = _samples(render(replace(run, records=records)))
+    assert sample["original"] is None
+
+
+def test_a_mask_of_absurd_size_is_one_sentence(run: Run) -> None:
+    record = run.records["picture 4"]
+    huge = {"size": [10**9, 10**9], "counts": "0"}
+    with pytest.raises(DataError, match="picture 4") as raised:
+        render(replace(run, records={"picture 4": Record({**record.row, "truth": huge})}))
+    assert "\n" not in str(raised.value)
+
+
+def test_confidence_is_shown_as_a_person_reads_it(run: Run, page: Any) -> None:
+    shown = rated(run)
+    text = render(shown)
+    assert "Does it know when it is right?" in text
+    assert "Does it know" not in render(run), "without confidences there is nothing to show"
+    found = trust.trust(shown)
+    assert found
+    assert f">{100 * found.values['auroc']:.1f}<" in text
+    abstained = sum(record.status == "abstained" for record in shown.records.values())
+    assert f"{abstained} abstained: their guesses are scored as they are" in text
+    page.goto(write_report(shown).as_uri())
+    page.select_option("#sort", "sure")
+    assert cards(page)[0] == max(shown.records.values(), key=lambda record: record.confidence or 0).id
+    page.select_option("#status", "abstained")
+    unsure = next(record for record in shown.records.values() if record.status == "abstained")
+    page.click(f"[data-id='{unsure.id}']")
+    facts = page.inner_text("#facts")
+    assert f"{unsure.confidence:.2f}, abstained" in facts
+    assert "–  mirror: the mirrored <b>mask</b> agrees" in facts
+
+
+def test_what_was_seen_is_said(run: Run) -> None:
+    text = render(run)
+    assert "trained on this data: <b>unknown</b>" in text
+    assert "truth of the test set seen: <b>no</b>" in text
+    identity = {**run.manifest.identity, "benchmark": "umd"}
+    text = render(replace(run, manifest=replace(run.manifest, identity=identity)))
+    assert text.index("training-free") < text.index("A4-Agent") < text.index("trained for this kind of task")
+
+
+def test_print_keeps_histogram_bars_and_both_columns(run: Run, page: Any) -> None:
+    identity = {**run.manifest.identity, "benchmark": "umd"}
+    page.set_viewport_size({"width": 718, "height": 1000})  # A4 without its margins
+    page.goto(write_report(replace(rated(run), manifest=replace(run.manifest, identity=identity))).as_uri())
+    page.emulate_media(media="print")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 718
+    for selector in (".histogram", ".bars", "#trust", "#where"):
+        box = page.locator(selector).first.bounding_box()
+        assert box["x"] + box["width"] <= 718, selector
+        assert box["height"] > 40
+    assert page.evaluate("getComputedStyle(document.documentElement).printColorAdjust") == "exact"
+    assert not page.is_visible(".toolbar")
+
+
+def test_a_comparison_shows_both_masks_of_what_crossed(bench: MakeBench, page: Any) -> None:
+    first, second = (
+        bench("a", label="early").run(pictures.agent(shift=9)),
+        bench("b", label="late").run(pictures.agent()),
+    )
+    pair = compare(rated(first), rated(second, 0.7))
+    path = write_comparison(pair, first.folder.parent / "pair.html")
+    text = path.read_text()
+    assert Links(text).found == []
+    page.goto(path.as_uri())
+    ids = page.evaluate("[...document.querySelectorAll('.pair')].map((row) => row.dataset.id)")
+    assert set(ids) == {*pair.result.gained, *pair.result.lost}
+    assert len(ids) > 2
+    changes = [abs(second.records[id].iou - first.records[id].iou) for id in ids]
+    assert changes == sorted(changes, reverse=True)
+    words = page.inner_text(f".pair[data-id='{ids[0]}']")
+    assert f"early: IoU {100 * first.records[ids[0]].iou:.1f}" in words
+    assert f"late: IoU {100 * second.records[ids[0]].iou:.1f}" in words
+    top = page.inner_text("#measures")
+    low = 100 * pair.result.differences["giou"].low
+    assert f"{low:+.1f} to" in top
+    for measure in ("contact hits", "AUROC", "coverage"):
+        assert measure in top
+    assert page.inner_text("h1") == "early → late on folder"
+    opaque = "(canvas) => canvas.getContext('2d').getImageData(2, 2, 1, 1).data[3] === 255"
+    page.wait_for_function(f"[...document.querySelectorAll('.pair canvas')].slice(0, 2).every({opaque})")
+
+
+def test_two_runs_of_one_label_are_told_by_their_folders(bench: MakeBench) -> None:
+    pair = compare(bench("a").run(pictures.agent()), bench("b").run(pictures.agent(shift=9)))
+    assert "<title>a and b on folder</title>" in render_comparison(pair)

@@ -39,6 +39,10 @@ def report(
 def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN RUN...", help="Run folders; the first is the reference.")],
     protocol: Annotated[str | None, typer.Option(help="strict, affordance-r1, affordance-r1-umd or ragnet.")] = None,
+    html: Annotated[
+        Path | None, typer.Option("--html", metavar="FILE", help="Write two runs side by side as one HTML page.")
+    ] = None,
+    show: OpenOption = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
 ) -> None:
     """Compare runs on the samples they share.
@@ -52,10 +56,16 @@ def compare(
 
     if len(runs) < 2:
         raise ConfigError("a comparison takes two runs or more: a4 compare RUN RUN...")
+    if html and len(runs) > 2:
+        raise ConfigError(f"--html shows two runs side by side, not {len(runs)}; name two of them")
     opened = [read_run(run) for run in runs]
     pairs = [compare_two(opened[0], run, protocol) for run in opened[1:]]
     tables = losses(opened, protocol)
-    if as_json:
+    if html:
+        from a4agent.runs.report import write_comparison
+
+        _announce(write_comparison(pairs[0], html), show)
+    elif as_json:
         print(json.dumps(to_dict(pairs, tables), indent=1))
     else:
         for pair in pairs:

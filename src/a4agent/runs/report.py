@@ -12,7 +12,7 @@ import base64
 import io
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from statistics import median
@@ -26,8 +26,11 @@ from a4agent.errors import DataError, InputError
 from a4agent.imaging.load import load_image
 from a4agent.imaging.masks import decode_rle
 from a4agent.redaction import redact
-from a4agent.runs import published, scores
+from a4agent.runs import published, scores, trust
+from a4agent.runs.compare import Pair
+from a4agent.runs.manifest import LEAKS
 from a4agent.runs.store import PICTURE_SIDE, STATUSES, Record, Run, write_atomically
+from a4agent.runs.tables import group_of
 
 LONGEST_ANSWER = 4000
 
@@ -47,21 +50,10 @@ def write_report(run: Run, path: Path | None = None) -> Path:
 
 def render(run: Run) -> str:
     """The page as text."""
-    from jinja2 import Environment, StrictUndefined
-
-    side = picture_side(len(run.records))
-    files_of = dict.fromkeys(name for record in run.records.values() for name in record.pictures.values())
-    embedded = ordered_map(lambda name: _embedded(run.folder, name, side), files_of)
-    pictures = {name: data for name, data in zip(files_of, embedded, strict=True) if data}
-    samples = list(ordered_map(lambda record: _sample(record, side, pictures), run.records.values()))
-    page = files("a4agent.runs") / "page"
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
-    environment.filters["percent"] = _percent
-    frame = environment.from_string((page / "page.html").read_text(encoding="utf-8"))
+    samples, pictures = _samples(run, run.records.values(), picture_side(len(run.records)))
     found = scores.score(run)
-    return frame.render(
-        css=(page / "page.css").read_text(encoding="utf-8"),
-        js=(page / "page.js").read_text(encoding="utf-8"),
+    return _filled(
+        "page",
         run=run,
         identity=run.manifest.identity,
         about=run.manifest.about,
@@ -72,6 +64,13 @@ def render(run: Run) -> str:
         protocol=metrics.protocol_of(found.protocol),
         measures=[(label, getattr(found, name), found.intervals.get(name)) for name, label in metrics.MEASURES.items()],
         published=_published(run, found),
+        further=[
+            (scores.measure_name(name), mean, _percent if name == "contact" else _plain)
+            for name, mean in scores.measures(run).items()
+        ],
+        trust=trust.trust(run),
+        trust_measures=trust.MEASURES,
+        leaks=[(question, run.manifest.leaks[name]) for name, question in LEAKS.items()],
         groups=scores.by_group(run),
         statuses=[(status, sum(r.status == status for r in run.records.values())) for status in STATUSES],
         outcomes=_outcomes(samples),
@@ -80,8 +79,69 @@ def render(run: Run) -> str:
         stages=_stages(run.records.values()),
         cost=sum(record.cost for record in run.records.values()),
         samples=samples,
-        pictures={Path(name).stem: data for name, data in pictures.items()},
+        pictures=pictures,
     )
+
+
+def write_comparison(pair: Pair, path: Path) -> Path:
+    """Write two runs side by side as one page; returns its path.
+
+    Raises:
+        DataError: it cannot be written, or a mask is damaged.
+    """
+    write_atomically(path, render_comparison(pair).encode("utf-8", "replace"))
+    return path
+
+
+def render_comparison(pair: Pair) -> str:
+    """The page as text: the paired changes, and both answers to each sample whose IoU crossed 0.5."""
+    runs = (pair.first, pair.second)
+    crossed = sorted(
+        (*pair.result.gained, *pair.result.lost),
+        key=lambda id: (-abs(pair.second.records[id].iou - pair.first.records[id].iou), id),
+    )
+    side = picture_side(len(crossed))
+    sides = [_samples(run, [run.records[id] for id in crossed], side) for run in runs]
+    lines = pair.lines()
+    ends = [abs(end) for line in lines if line.percent for end in (line.change.low, line.change.high) if end == end]
+    return _filled(
+        "compare",
+        names=[_name(run, runs) for run in runs],
+        benchmark=pair.first.manifest.identity["benchmark"],
+        result=pair.result,
+        lines=lines,
+        reach=max([*ends, 0.01]),
+        changed=[line.replace(" there, ", " → ").removesuffix(" here") for line in pair.changed],
+        samples=[list(both) for both in zip(sides[0][0], sides[1][0], strict=True)],
+        pictures={**sides[1][1], **sides[0][1]},
+    )
+
+
+def _name(run: Run, runs: Sequence[Run]) -> str:
+    """A run's label, or its folder's name where both have the same label."""
+    return run.manifest.label if len({one.manifest.label for one in runs}) > 1 else run.folder.resolve().name
+
+
+def _filled(name: str, **values: Any) -> str:
+    """The page `name`.html with its style and scripts."""
+    from jinja2 import Environment, StrictUndefined
+
+    page = files("a4agent.runs") / "page"
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
+    environment.filters.update(percent=_percent, signed=_signed)
+    css, masks_js, js, frame = (
+        (page / file).read_text(encoding="utf-8") for file in ("page.css", "masks.js", f"{name}.js", f"{name}.html")
+    )
+    return environment.from_string(frame).render(css=css, masks_js=masks_js, js=js, **values)
+
+
+def _samples(run: Run, records: Collection[Record], side: int) -> tuple[list[dict[str, Any]], dict[str, str]]:
+    """What page.js knows of the records, and their pictures in base64 by the stem of their file."""
+    files_of = dict.fromkeys(name for record in records for name in record.pictures.values())
+    embedded = ordered_map(lambda name: _embedded(run.folder, name, side), files_of)
+    pictures = {name: data for name, data in zip(files_of, embedded, strict=True) if data}
+    samples = list(ordered_map(lambda record: _sample(record, side, pictures), records))
+    return samples, {Path(name).stem: data for name, data in pictures.items()}
 
 
 def picture_side(samples: int) -> int:
@@ -90,11 +150,19 @@ def picture_side(samples: int) -> int:
 
 
 def _sample(record: Record, side: int, pictures: Mapping[str, str]) -> dict[str, Any]:
-    """One sample for page.js, which knows pictures by the stem of their file."""
+    """One sample for page.js, which knows pictures by the stem of their file.
+
+    Raises:
+        DataError: one of its masks is damaged.
+    """
     row = record.row
     width, height = row["size_wh"]
     scale = min(1.0, side / max(width, height, 1))
     view = (max(1, round(width * scale)), max(1, round(height * scale)))
+    try:
+        mask, truth = (small_mask(rle, view) for rle in (row["mask"], record.truth))
+    except DataError as error:
+        raise DataError(f"the mask of sample {record.id!r} is damaged: {error}; remove its line") from error
     names = {kind: Path(name).stem for kind, name in record.pictures.items() if name in pictures}
     target = row["target"] or {}
     found = {
@@ -112,11 +180,13 @@ def _sample(record: Record, side: int, pictures: Mapping[str, str]) -> dict[str,
         "view": view,
         "boxes": row["boxes_xyxy"],
         "points": row["points_xy"],
-        "mask": small_mask(row["mask"], view),
-        "truth": small_mask(record.truth, view),
+        "mask": mask,
+        "truth": truth,
         "original": names.get("original"),
         "imagination": names.get("imagination"),
         "error": row["error"] or "",
+        "confidence": row.get("confidence"),
+        "checks": row.get("checks") or [],
         "seconds": round(record.seconds, 3),
         "cost": record.cost,
         "pixels": [row["intersection"], row.get("prediction_pixels"), row["union"]],
@@ -157,24 +227,35 @@ def _embedded(folder: Path, name: str, side: int) -> str:
 
 
 def _published(run: Run, found: metrics.Scores) -> dict[str, Any] | None:
-    """The paper's table of this benchmark as rows (name, gIoU, ours, interval), best first; None if it has none."""
+    """The paper's table of this benchmark by group, best first in each; None if it has none."""
     benchmark = str(run.manifest.identity["benchmark"])
     table = published.of_benchmark(benchmark)
     if table is None:
         return None
     columns = [i for i, column in enumerate(table.columns) if column.benchmark == benchmark]
     rows: list[dict[str, Any]] = [
-        {"name": name, "values": [values[i] / 100 for i in columns], "ours": False, "interval": None}
+        {
+            "name": name,
+            "values": [values[i] / 100 for i in columns],
+            "ours": False,
+            "interval": None,
+            "group": table.group(name),
+        }
         for name, values in table.rows.items()
     ]
     ours = [getattr(found, table.columns[i].measure) for i in columns]
     interval = found.intervals.get("giou")
-    rows.append({"name": run.manifest.label, "values": ours, "ours": True, "interval": interval})
+    name, group = run.manifest.label, group_of([run], table, run.manifest.label)
+    rows.append({"name": name, "values": ours, "ours": True, "interval": interval, "group": group})
     rows.sort(key=lambda row: -row["values"][0] if row["values"][0] == row["values"][0] else 1)
     return {
         "title": f"{published.SOURCE}, table {table.number}",
         "columns": [metrics.MEASURES[table.columns[i].measure] for i in columns],
-        "rows": rows,
+        "groups": [
+            (heading, [row for row in rows if row["group"] == group])
+            for group, heading in published.GROUPS.items()
+            if any(row["group"] == group for row in rows)
+        ],
         "notes": table.notes,
     }
 
@@ -199,9 +280,9 @@ def _stages(records: Iterable[Record]) -> list[dict[str, Any]]:
     for record in records:
         for step in record.row["trace"]:
             groups.setdefault((step["stage"], step["role"], step["expert"]), []).append(step)
-    order = {"dreamer": 0, "thinker": 1, "spotter": 2}
+    order = {"dreamer": 0, "thinker": 1, "spotter": 2, "verifier": 3}
     table: list[dict[str, Any]] = []
-    for (stage, role, expert), steps in sorted(groups.items(), key=lambda item: order.get(item[0][0], 3)):
+    for (stage, role, expert), steps in sorted(groups.items(), key=lambda item: order.get(item[0][0], 4)):
         seconds = [step["seconds"] for step in steps if not step.get("cached")]
         known = [step["cost"] for step in steps if step.get("cost") is not None and not step.get("cached")]
         table.append(
@@ -222,3 +303,11 @@ def _stages(records: Iterable[Record]) -> list[dict[str, Any]]:
 
 def _percent(value: float | None, decimals: int = 1) -> str:
     return "–" if value is None or value != value else f"{100 * value:.{decimals}f}"
+
+
+def _signed(value: float) -> str:
+    return "–" if value != value else f"{100 * value:+.1f}".replace("-", "−")
+
+
+def _plain(value: float) -> str:
+    return f"{value:.3f}"
