@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from a4agent import requirements
+from a4agent.cli.doctor import examine
 from a4agent.cli.main import main
+from servers import FaultyServer, as_json
 
 
 def report(capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
@@ -49,3 +51,18 @@ def test_it_names_the_command_for_what_is_not(
     said = capsys.readouterr().out
     assert "pip install 'a4agent[offline]'" in said
     assert "OPENAI_API_KEY" in said
+
+
+@pytest.mark.parametrize("announced", [{}, {"shutdown_date": "2027-03-01"}])
+def test_a_model_about_to_be_switched_off_is_named(
+    openai_server: FaultyServer, announced: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("OPENAI_API_KEY", "x")
+    model = as_json({"id": "gpt-4o", "object": "model", "created": 1, "owned_by": "a", **announced})
+    openai_server.replies(model, models=model)
+    vlm = f'{{ expert = "openai:gpt-4o", base_url = "{openai_server.url}", server = "openai" }}'
+    Path("a4.toml").write_text(f"profile = 'offline'\n[thinker]\nvlm = {vlm}")
+    assert examine()["retiring"] == {"openai:gpt-4o": announced.get("shutdown_date", "2027-01-14")}
+    Path("a4.toml").write_text("profile = 'offline'")
+    assert examine()["retiring"] == {}

@@ -7,7 +7,7 @@ import os
 import platform
 import shutil
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import typer
 
@@ -15,6 +15,8 @@ from a4agent import __version__
 from a4agent.benchmarks import registry
 from a4agent.config import load_settings, profile_names
 from a4agent.errors import A4Error
+from a4agent.experts import registry as experts
+from a4agent.protocols import Role
 from a4agent.requirements import EXTRAS, check_profile, missing_modules
 
 
@@ -49,6 +51,7 @@ def examine() -> dict[str, Any]:
         },
         "simulator": registry.missing("sim"),
         "settings": _settings(),
+        "retiring": _retiring(),
         "profiles": {
             name: [{"what": missing.what, "fix": missing.fix} for missing in check_profile(name)]
             for name in profile_names()
@@ -63,6 +66,25 @@ def _settings() -> str:
     except A4Error as error:
         return str(error)
     return ""
+
+
+def _retiring() -> dict[str, str]:
+    """The models of the settings in effect that are about to be switched off, with the day. Asks their servers."""
+    found: dict[str, str] = {}
+    try:
+        specs = load_settings().expert_specs()
+    except A4Error:
+        return found
+    for role, spec in specs.items():
+        try:
+            expert: Any = experts.create(spec.expert, cast(Role, role.rpartition(".")[2]), spec.settings)
+        except Exception:  # the profile's own lines say what is missing
+            continue
+        date = expert.shutdown_date() if hasattr(expert, "shutdown_date") else ""
+        if date:
+            found[expert.id] = date
+        expert.close()
+    return found
 
 
 def _free_disk_gb() -> float | None:
@@ -109,12 +131,17 @@ def _show(report: dict[str, Any]) -> None:
     console.print(f"{report['cores']} cores, {memory}, {disk}, {accelerators}")
     if report["settings"]:
         console.print(f"\n[bold]Settings[/]\n  {bad} {escape(report['settings'])}")
+    if report["retiring"]:
+        console.print("\n[bold]Models about to be switched off[/]")
+        for model, date in report["retiring"].items():
+            console.print(f"  {bad} {escape(model)} on {escape(date)}; choose another with --set")
     console.print("\n[bold]Extras[/]")
+    wide = max(map(len, report["extras"]))
     for extra, state in report["extras"].items():
         if not state["missing"]:
             console.print(f"  {good} {extra}")
         else:
-            console.print(f"  {bad} {extra:8} [cyan]{escape(state['fix'])}[/]  [dim]{state['size']}[/]")
+            console.print(f"  {bad} {extra:{wide}} [cyan]{escape(state['fix'])}[/]  [dim]{state['size']}[/]")
     console.print("\n[bold]Keys[/]")
     for name, there in report["keys"].items():
         console.print(

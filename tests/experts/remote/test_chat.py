@@ -300,3 +300,11 @@ def test_settings_that_do_not_fit_are_answered(settings):
 def test_it_is_no_detector_and_says_what_is():
     with pytest.raises(ConfigError, match="vlm-grounding"):
         registry.create("openai:m", "detector", {"base_url": "http://127.0.0.1:9/v1"})
+
+
+@pytest.mark.parametrize(("text_first", "kinds"), [(False, ["image_url", "text"]), (True, ["text", "image_url"])])
+def test_the_text_stands_where_the_setting_says(openai_server, text_first, kinds):
+    openai_server.replies(chat("yes"))
+    ask(openai_server, ChatRequest((PLAIN,), "x"), text_first=text_first)
+    content = openai_server.asked()[0].json["messages"][-1]["content"]
+    assert [part["type"] for part in content] == kinds

@@ -125,6 +125,15 @@ def test_a_refused_key_stops_everything(openai_server, code):
         call(openai_server, server="vllm")
 
 
+def test_a_key_that_was_not_sent_is_not_to_be_checked(openai_server, monkeypatch):
+    """OpenAI's key goes to OpenAI alone; a server of one's own that wants one is told how to get it."""
+    monkeypatch.setenv("OPENAI_API_KEY", "x")
+    openai_server.replies(error(401, "No key"))
+    with pytest.raises(CredentialError, match=r"no key was sent to this address.*api_key_variable"):
+        call(openai_server, server="other")
+    assert "x" not in openai_server.asked()[0].headers.get("authorization", "")
+
+
 def test_a_refused_key_of_ones_own_is_named(openai_server, monkeypatch):
     monkeypatch.setenv("MY_KEY", "x")
     openai_server.replies(error(401, "Incorrect API key"))
@@ -208,7 +217,7 @@ def test_a_server_is_known_by_its_address(base_url, name):
 
 @pytest.mark.parametrize("base_url", ["localhost:8000", "http://127.0.0.1:99999/v1", "http://[::1/v1", "ftp://x/v1"])
 def test_what_is_no_address_is_answered(base_url):
-    with pytest.raises(ConfigError, match="is no address"):
+    with pytest.raises(ConfigError, match="is not a URL"):
         connect(None, base_url=base_url)
 
 

@@ -128,5 +128,5 @@ def test_misbehaviour_is_an_error_for_that_request_alone(openai_server, reply, k
 def test_the_address_is_the_model(openai_server):
     with pytest.raises(ConfigError, match="after the colon"):
         registry.create("rex-omni-server:", "detector")
-    with pytest.raises(ConfigError, match="address"):
+    with pytest.raises(ConfigError, match="not a URL"):
         registry.create("rex-omni-server:localhost", "detector")

@@ -50,6 +50,11 @@ class RemoteExpert(ExpertBase):
     def close(self) -> None:
         self._connection.close()
 
+    def shutdown_date(self) -> str:
+        """The day from which the model is no longer served, as its server announces or its vendor did; "" if none."""
+        listed = price_of(self._connection.model) if self._connection.server.priced else None
+        return self._connection.shutdown_date() or (listed.retires if listed else "")
+
     def _one_by_one(self, requests: Sequence[RequestT], ask: Callable[[RequestT], AnswerT]) -> list[AnswerT | A4Error]:
         """`ask` each request. An error that every request would meet is raised, another is that request's answer."""
         answers: list[AnswerT | A4Error] = []

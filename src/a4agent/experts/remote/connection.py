@@ -99,9 +99,9 @@ def _host_and_port(base_url: str) -> tuple[str, int | None]:
         address = urlsplit(base_url)
         if address.scheme in ("http", "https") and address.hostname:
             return address.hostname, address.port
-    except ValueError:  # a port that is none
+    except ValueError:  # an invalid port
         pass
-    raise ConfigError(f"base_url = {base_url!r} is no address; write it as 'http://127.0.0.1:8000/v1'")
+    raise ConfigError(f"base_url = {base_url!r} is not a URL; use 'http://127.0.0.1:8000/v1'")
 
 
 class Connection:
@@ -167,6 +167,17 @@ class Connection:
         except (self._openai.OpenAIError, *_NOT_JSON, AttributeError, TypeError):
             return []
 
+    def shutdown_date(self) -> str:
+        """The day that the server announces as this model's last, as it writes it; "" if it announces none.
+
+        Never raises: a server that does not answer announces nothing.
+        """
+        try:
+            model = self._connected().with_options(max_retries=0, timeout=5.0).models.retrieve(self.model)
+            return str(getattr(model, "shutdown_date", None) or "")
+        except (self._openai.OpenAIError, *_NOT_JSON, AttributeError, TypeError):
+            return ""
+
     def close(self) -> None:
         with self._lock:
             client, self._client = self._client, None
@@ -218,8 +229,13 @@ class Connection:
         if any(mark in low for mark in _NO_QUOTA):
             return CredentialError(f"{about}; the account has no credit left: add some, or use another key")
         if status in (401, 403):
-            variable = self._key_variable or "the variable that the setting `api_key_variable` names"
-            return CredentialError(f"{about}; check the key in {variable}")
+            if self._key is _LOCAL_KEY:
+                named = f"set {self._key_variable}, or " if self._key_variable else ""
+                return CredentialError(
+                    f"{about}; no key was sent to this address: {named}name the variable that holds its key with the"
+                    " expert's setting api_key_variable"
+                )
+            return CredentialError(f"{about}; check the key in {self._key_variable}")
         if status == 404:
             return self._explain_not_found(about, low)
         if status == 429 or (status in (503, 529) and retry_after is not None):

@@ -19,7 +19,10 @@ _SNAPSHOT = re.compile(r"-\d{4}-\d{2}-\d{2}$")
 
 @dataclass(frozen=True)
 class Price:
-    """Dollars per million tokens; a special kind of token that has no price of its own costs `input`."""
+    """Dollars per million tokens; a special kind of token that has no price of its own costs `input`.
+
+    `retires` is the day (ISO) from which the vendor no longer serves the model, "" if none is announced.
+    """
 
     input: float
     output: float
@@ -27,6 +30,7 @@ class Price:
     image_input: float | None = None
     as_of: str = ""
     source: str = ""
+    retires: str = ""
 
     @property
     def is_free(self) -> bool:
@@ -54,7 +58,7 @@ def price_from_setting(price: Any) -> Price:
         ConfigError: a key that is no price, or a price that is missing or negative.
     """
     table = dict(cast("Mapping[str, Any]", price)) if isinstance(price, Mapping) else {}
-    known = {field.name for field in fields(Price)} - {"as_of", "source"}
+    known = {field.name for field in fields(Price)} - {"as_of", "source", "retires"}
     wrong = [key for key in table if key not in known] + [key for key in ("input", "output") if key not in table]
     if wrong or any(not isinstance(value, (int, float)) or value < 0 for value in table.values()):
         raise ConfigError(
