@@ -84,7 +84,7 @@ def test_a_page_runs(page: Path, work: Path, home: Path) -> None:
 
 def run(command: str, work: Path, home: Path) -> None:
     words = shlex.split(command.split(" | ")[0].split(" > ")[0])
-    if words[0] in RUN_ELSEWHERE or words[:2] in (["a4", "serve"], ["a4", "app"]):
+    if words[0] in RUN_ELSEWHERE or words[:2] in (["a4", "serve"], ["a4", "app"], ["a4", "mcp"]):
         check(command)
         return
     assert words[0] in ("a4", "python"), f"no rule to run {command!r}"

@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -15,11 +16,12 @@ from a4agent.agent import A4Agent
 from a4agent.config import Settings, load_settings, profile_names
 from a4agent.errors import CredentialError, InputError, UnknownNameError, UnreadableAnswer
 from a4agent.requirements import Missing
-from a4agent.serve.page_actions import Profiles, Visit, _stages, read_upload, sentence
+from a4agent.serve.page_actions import Profiles, Visit, _finished, _picture, _stages, read_upload, sentence
+from a4agent.serve.page_views import Progress
 from a4agent.stages.spotter import Spotter
 from a4agent.stages.thinker import Thinker
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, output, scripted_agent
-from a4agent.types import Detection
+from a4agent.types import Affordance, Detection, Region
 
 pytest.importorskip("gradio", reason="needs the extra app")
 
@@ -141,7 +143,7 @@ def test_only_regular_files_of_the_upload_folder_are_read(
         "nul\0.png",
     )
     for path in forged:
-        with pytest.raises(InputError, match="Upload the photo"):
+        with pytest.raises(InputError, match="upload the photo"):
             read_upload(path)
     monkeypatch.setattr("a4agent.serve.page_actions.MAX_UPLOAD_BYTES", 10)
     with pytest.raises(InputError, match="larger than"):
@@ -237,3 +239,27 @@ def test_a_visitors_profile_is_a_listed_name_and_never_a_path(tmp_path: Path) ->
         assert not profiles.dreams(name)
         assert "unknown profile" in profiles.missing(name)[0].what
     assert not read
+
+
+def test_a_telephone_picture_of_48_megapixels_is_scaled_down(uploads: Path) -> None:
+    Image.new("RGB", (8000, 6000), "grey").save(uploads / "large.jpg")
+    width, height = _picture(str(uploads / "large.jpg"), "open it").size
+    assert 11_000_000 < width * height <= 12_000_000
+    assert width / height == pytest.approx(4 / 3, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("status", "files"),
+    [("ok", 3), ("abstained", 3), ("empty", 2), ("invalid", 0), ("error", 0)],
+)
+def test_only_answers_offer_their_mask(status: str, files: int, tmp_path: Path) -> None:
+    mask = np.ones((60, 80), bool)
+    region = Region(None, np.zeros((0, 2), np.float32), mask)
+    affordance = Affordance(
+        "open it", (80, 60), regions=(region,), status=status, error="x: it failed", image=PICTURE, confidence=0.3
+    )  # type: ignore[arg-type]
+    progress = Progress(PICTURE, "open it", dreams=False, thinks=True, verifies=True, affordance=affordance)
+    message, *_, json_file, picture_file, mask_file = _finished(progress, affordance, tmp_path)
+    assert [file["visible"] for file in (json_file, picture_file, mask_file)].count(True) == files
+    assert mask_file["visible"] == (status in ("ok", "abstained"))
+    assert ("guess" in message) == (status == "abstained")

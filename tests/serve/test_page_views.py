@@ -15,7 +15,7 @@ from PIL import Image
 from a4agent.imaging import overlay
 from a4agent.serve import page_views
 from a4agent.serve.page_views import Progress
-from a4agent.types import Affordance, Detection, Imagination, Region, Step, Target, Trace
+from a4agent.types import Affordance, Check, Detection, Imagination, Region, Step, Target, Trace
 
 PHOTO = Image.new("RGB", (80, 60), (90, 120, 150))
 TARGET = Target("open", "drawer", "the handle of the drawer", "It is there to be pulled.")
@@ -128,3 +128,30 @@ def test_the_reason_of_a_failure_is_not_said_again_below_the_picture() -> None:
     page = page_views.picture(Progress(PHOTO, "open", True, True).after("affordance", failed, 1.0))
     assert "<figcaption>open</figcaption>" in page
     assert "poem" not in page
+
+
+@pytest.mark.parametrize(
+    ("status", "confidence", "words"),
+    [
+        ("ok", 0.95, "sure (0.95)"),
+        ("ok", 0.87, "fairly sure (0.87)"),
+        ("ok", 0.55, "not very sure (0.55)"),
+        ("ok", None, ""),
+        ("abstained", 0.31, "unsure (0.31): shown as a guess"),
+        ("abstained", None, "unsure: shown as a guess"),
+    ],
+)
+def test_the_confidence_is_said_in_words(status: str, confidence: float | None, words: str) -> None:
+    assert page_views.certainty(answer(status, confidence=confidence)) == words
+
+
+def test_a_guess_looks_like_one_and_names_its_checks() -> None:
+    checks = (Check("geometry", 0.2, "the mask leaves its box"), Check("agreement", None, "not measured"))
+    guess = answer("abstained", confidence=0.31, checks=checks)
+    progress = Progress(PHOTO, "open", False, True, verifies=True).after("affordance", guess, 1.0)
+    assert 'data-state="guess"' in page_views.picture(progress)
+    page = page_views.stages(progress)
+    assert "unsure (0.31): shown as a guess" in page
+    assert "the mask leaves its box" in page
+    assert "not measured" not in page
+    assert page_views.worst_check(guess) == checks[0]

@@ -33,6 +33,7 @@ COMMANDS = {
     "doctor": ("doctor", "Say what works on this machine, and how to get the rest."),
     "serve": ("serve", "Serve affordances over HTTP."),
     "app": ("web", "Open the web page."),
+    "mcp": ("mcp", "Offer the agent to language agents as tools (MCP)."),
 }
 """Command -> the module of `a4agent.cli` it lives in, and its line in the help."""
 

@@ -12,8 +12,9 @@ import ipaddress
 import json
 import logging
 import os
+import stat
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from starlette.datastructures import Headers
 from starlette.responses import JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from a4agent.errors import ConfigError
+from a4agent.errors import ConfigError, InputError
 from a4agent.redaction import redact
 from a4agent.serve.workers import Counters, Workers
 
@@ -81,7 +82,9 @@ def read_token(host: str, token_file: Path | None = None, environ: Mapping[str, 
     return token
 
 
-def check_caller(token: str | None, path: str, headers: Mapping[str, str]) -> None:
+def check_caller(
+    token: str | None, path: str, headers: Mapping[str, str], open_paths: frozenset[str] = OPEN_PATHS
+) -> None:
     """Check the token; without one, that the request was made on this machine.
 
     Without a token, the `Host` and `Origin` must be loopback too: a web page that the user of this machine has open
@@ -90,7 +93,7 @@ def check_caller(token: str | None, path: str, headers: Mapping[str, str]) -> No
     Raises:
         Refused: 401 no token or a wrong one, 403 from a foreign web page.
     """
-    if path in OPEN_PATHS:
+    if path in open_paths:
         return
     if token is None:
         origin = headers.get("origin")
@@ -182,6 +185,58 @@ def to_json(data: Any) -> bytes:
         return text.encode()
     except UnicodeEncodeError:
         return text.encode("utf-16", "surrogatepass").decode("utf-16", "replace").encode()
+
+
+def read_below(path: str, folders: Sequence[Path], max_bytes: int) -> bytes:
+    """The bytes of a regular file below one of the folders, opened without following a link or waiting for a pipe.
+
+    Raises:
+        InputError: the resolved path leads elsewhere, is not a regular file, or has more than `max_bytes`.
+    """
+    try:
+        real = Path(os.path.realpath(path))
+        if not any(real.is_relative_to(os.path.realpath(folder)) for folder in folders):
+            raise InputError("the file is outside the allowed folders")
+        descriptor = os.open(real, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+    except (OSError, ValueError) as error:
+        raise InputError(f"the file cannot be opened: {getattr(error, 'strerror', None) or error}") from error
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError("not a regular file")
+        if status.st_size > max_bytes:
+            raise InputError(f"the file is larger than {max_bytes // 2**20} MB")
+        with open(descriptor, "rb", closefd=False) as file:
+            return file.read(max_bytes)
+    finally:
+        os.close(descriptor)
+
+
+class CallerCheck:
+    """ASGI middleware for applications without `Admission`: `check_caller`, and headers added to each answer."""
+
+    def __init__(self, app: ASGIApp, token: str | None, headers: Mapping[str, str] | None = None) -> None:
+        self.app = app
+        self.token = token
+        self.headers = [(name.lower().encode(), value.encode()) for name, value in (headers or {}).items()]
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def answer(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message["headers"], *self.headers]
+            await send(message)
+
+        if scope["type"] == "http":
+            try:
+                self.check(scope)
+            except Refused as refused:
+                await refused.response()(scope, receive, answer)
+                return
+        await self.app(scope, receive, answer)
+
+    def check(self, scope: Scope) -> None:
+        """Raises Refused for a caller who may not call."""
+        check_caller(self.token, scope["path"], Headers(scope=scope), open_paths=frozenset())
 
 
 class Place:

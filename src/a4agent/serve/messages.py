@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from a4agent.errors import InputError
+from a4agent.errors import InputError, MissingExtraError
 from a4agent.imaging.load import TooManyPixels, load_image
 from a4agent.redaction import redact
 from a4agent.serve.admission import Limits, Refused, to_json
@@ -259,7 +259,7 @@ def _with_picture(sample: SampleIn, data: bytes, limits: Limits, left: int) -> Q
             together = f"a batch may have {limits.batch_pixels} pixels in all; send this picture in another request"
             raise Refused(413, f"image: {together}, or smaller") from error
         raise Refused(413, f"image: more than {limits.pixels} pixels; send it smaller") from error
-    except InputError as error:
+    except (InputError, MissingExtraError) as error:  # a format that needs an extra, such as HEIC
         raise Refused(422, f"image: {error}") from error
     given = None if sample.part is None else Given(target=Target(sample.instruction, "", sample.part.strip()))
     return Question(picture, sample.instruction, given, sample.id)

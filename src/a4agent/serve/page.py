@@ -18,16 +18,15 @@ from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI
-from starlette.datastructures import Headers
 from starlette.middleware import Middleware
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp, Scope
 
 from a4agent.agent import A4Agent
 from a4agent.config import Settings, profile_names
 from a4agent.errors import require
 from a4agent.requirements import Missing, check_settings
 from a4agent.serve import EXAMPLES_FOLDER, page_views
-from a4agent.serve.admission import Refused, check_caller
+from a4agent.serve.admission import CallerCheck
 from a4agent.serve.page_actions import MAX_UPLOAD_BYTES, Profiles, Visit
 
 os.environ.setdefault("GRADIO_ANALYTICS_ENABLED", "False")
@@ -102,7 +101,7 @@ def create_page(
 
     blocks = _blocks(gr, profiles, profile)
     app = FastAPI(
-        lifespan=lifespan, docs_url=None, redoc_url=None, middleware=[Middleware(_Guard, open_to_all=auth is None)]
+        lifespan=lifespan, docs_url=None, redoc_url=None, middleware=[Middleware(_PageCheck, password=auth is not None)]
     )
     theme = gr.themes.Base(
         primary_hue="rose", neutral_hue="slate", font=FONTS, font_mono=["ui-monospace", "monospace"], radius_size="lg"
@@ -229,23 +228,13 @@ def _examples() -> list[list[str]]:
     return [[str(EXAMPLES_FOLDER / name), instruction] for name, instruction in EXAMPLES]
 
 
-class _Guard:
-    """Adds the content security policy to every answer; without a password, refuses pages of other sites."""
+class _PageCheck(CallerCheck):
+    """Adds the content security policy; without a password, refuses pages of other sites."""
 
-    def __init__(self, app: ASGIApp, open_to_all: bool) -> None:
-        self.app = app
-        self.open_to_all = open_to_all
+    def __init__(self, app: ASGIApp, password: bool) -> None:
+        super().__init__(app, None, {"Content-Security-Policy": POLICY})
+        self.password = password
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async def guarded(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                message["headers"] = [*message["headers"], (b"content-security-policy", POLICY.encode())]
-            await send(message)
-
-        if scope["type"] == "http" and self.open_to_all:
-            try:
-                check_caller(None, scope["path"], Headers(scope=scope))
-            except Refused as refused:
-                await refused.response()(scope, receive, guarded)
-                return
-        await self.app(scope, receive, guarded)
+    def check(self, scope: Scope) -> None:
+        if not self.password:  # else gradio asks for it
+            super().check(scope)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
-import stat
 import tempfile
 import threading
 from collections.abc import AsyncGenerator, Callable, Sequence
@@ -15,10 +13,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from a4agent.agent import A4Agent
 from a4agent.config import Settings
-from a4agent.errors import A4Error, InputError, UnknownNameError
+from a4agent.errors import A4Error, InputError, MissingExtraError, UnknownNameError
 from a4agent.imaging.load import load_image
 from a4agent.requirements import Missing
 from a4agent.serve import EXAMPLES_FOLDER, page_views
+from a4agent.serve.admission import read_below
 from a4agent.serve.page_views import Progress
 from a4agent.serve.workers import Cancelled
 from a4agent.types import Affordance
@@ -30,8 +29,8 @@ log = logging.getLogger(__name__)
 
 MAX_UPLOAD_BYTES = 32 * 2**20
 MAX_UPLOAD_PIXELS = 120_000_000
-MAX_SIDE = 4000
-"""Larger photos are scaled down to this many pixels on the longer side."""
+SHRINK_TO_PIXELS = 12_000_000
+"""Larger photos are scaled down."""
 FILES = ("affordance.json", "overlay.png", "mask.png")
 FILES_BY_STATUS = {"ok": FILES, "abstained": FILES, "empty": FILES[:2]}
 Update = tuple[Any, ...]
@@ -187,49 +186,32 @@ async def _stages(agent: A4Agent, picture: Image, instruction: str) -> AsyncGene
 
 
 def _picture(photo: str | None, instruction: str) -> Image:
-    """The photo as the agent gets it: upright, RGB, at most MAX_SIDE pixels on its longer side."""
+    """The photo as the agent gets it: upright, RGB, at most SHRINK_TO_PIXELS."""
     if not photo:
         raise InputError("Add a photo first: drop one, paste one, take one, or pick an example.")
     if not (instruction or "").strip():
         raise InputError("Say what you want to do, for instance “open the top drawer”.")
     try:
-        picture = load_image(read_upload(photo), max_pixels=MAX_UPLOAD_PIXELS)
-    except InputError as error:
+        return load_image(read_upload(photo), max_pixels=MAX_UPLOAD_PIXELS, shrink_to=SHRINK_TO_PIXELS)
+    except (InputError, MissingExtraError) as error:
         raise InputError(f"This photo cannot be used: {error}") from error
-    picture.thumbnail((MAX_SIDE, MAX_SIDE))
-    return picture
 
 
 def read_upload(path: str) -> bytes:
     """The bytes of a photo that a visitor uploaded, or of an example.
 
     gradio checks paths only in payloads that declare themselves files, so that a forged one names any file of the
-    server. The path is resolved first, and the file is opened without following a link or waiting for a pipe.
+    server.
 
     Raises:
         InputError: the path leads elsewhere, or to something other than a regular file of at most MAX_UPLOAD_BYTES.
     """
     from gradio.utils import get_upload_folder
 
-    refused = InputError("Upload the photo on this page; files of the server are not read.")
-    folders = (os.path.realpath(get_upload_folder()), str(EXAMPLES_FOLDER))
     try:
-        real = Path(os.path.realpath(path))
-        if not any(real.is_relative_to(folder) for folder in folders):
-            raise refused
-        descriptor = os.open(real, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    except (OSError, ValueError) as error:
-        raise refused from error
-    try:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            raise refused
-        if status.st_size > MAX_UPLOAD_BYTES:
-            raise InputError(f"This photo is larger than {MAX_UPLOAD_BYTES // 2**20} MB; upload a smaller one.")
-        with open(descriptor, "rb", closefd=False) as file:
-            return file.read(MAX_UPLOAD_BYTES)
-    finally:
-        os.close(descriptor)
+        return read_below(path, (Path(get_upload_folder()), EXAMPLES_FOLDER), MAX_UPLOAD_BYTES)
+    except InputError as error:
+        raise InputError(f"upload the photo on this page; files of the server are not read ({error})") from error
 
 
 def _finished(progress: Progress, affordance: Affordance, folder: Path) -> Update:
