@@ -32,7 +32,7 @@ def test_each_kind_of_prediction(tmp_path: Path) -> None:
     assert [outcome.id for outcome in outcomes] == ["00000-mug.v1", "00001-mug.v1", "00002-mug.v2"]
     assert outcomes[0].row == (24, 24, "ok", 24, 24, True)
     assert outcomes[1].row == (0, 20, "error", 20, None, False)
-    assert "cannot be read" in outcomes[1].problem
+    assert "is not an image" in outcomes[1].problem
     assert outcomes[2].row == (0, 16, "error", 16, None, False)
     assert outcomes[2].problem == MISSING
     scores = score([outcome.row for outcome in outcomes])
