@@ -2,10 +2,12 @@
 
     python perf/serve.py                                   16 clients, 60 seconds, scripted models of 10 ms a call
     python perf/serve.py --profile offline --seconds 30    real work
+    python perf/serve.py --requests 10000                  pictures of many sizes; memory at every thousandth request
     python perf/serve.py --json                            the figures for a script
 
 Exit code 1 if an answer was lost, was neither what the request deserves nor a 503 with Retry-After, if the server
-counted other answers than the clients, or if its memory grew by more than a tenth after the first third of the time.
+counted other answers than the clients, or if its memory grew by more than a tenth after the first third of the time
+(with --requests: if it left the first thousandth's by more than 5 %).
 """
 
 from __future__ import annotations
@@ -40,9 +42,12 @@ class Tally:
     seconds: list[float] = field(default_factory=list)
 
 
-def photo() -> bytes:
+SIZES = ((64, 48), (320, 240), (640, 480), (1280, 960), (2000, 1500))
+
+
+def photo(size: tuple[int, int] = (640, 480)) -> bytes:
     file = io.BytesIO()
-    Image.radial_gradient("L").resize((640, 480)).convert("RGB").save(file, "JPEG")
+    Image.radial_gradient("L").resize(size).convert("RGB").save(file, "JPEG")
     return file.getvalue()
 
 
@@ -94,6 +99,20 @@ def drive(address: str, kinds: list[tuple[str, bytes, str, int]], until: float, 
             tally.seconds.append(time.monotonic() - started)
 
 
+def drive_some(
+    address: str, kinds: list[tuple[str, bytes, str, int]], turns: list[int], lock: threading.Lock, tally: Tally
+) -> None:
+    """One client: takes the next of the turns until none is left; a busy server is asked again."""
+    while True:
+        with lock:
+            if not turns:
+                return
+            kind = kinds[turns.pop() % len(kinds)]
+        before = tally.sent - tally.codes[503]
+        while tally.sent - tally.codes[503] == before and not tally.wrong:
+            drive(address, [kind], time.monotonic() + 1e-4, tally)
+
+
 def memory_mib(process: int) -> float:
     """The resident memory of a process."""
     return int(subprocess.run(["ps", "-o", "rss=", "-p", str(process)], capture_output=True, check=True).stdout) / 1024
@@ -126,6 +145,47 @@ def serve(profile: str) -> None:
             for expert in agent.experts():
                 for kept in ("requests", "batches"):
                     getattr(expert, kept, []).clear()
+
+
+def soak(profile: str, clients: int, count: int) -> dict[str, object]:
+    """Send `count` requests with pictures of many sizes, and read the server's memory after every tenth of them."""
+    command = [sys.executable, __file__, "--server", profile]
+    server = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert server.stdin
+    assert server.stdout
+    tallies = [Tally() for _ in range(clients)]
+    memory: list[float] = []
+    started = time.monotonic()
+    try:
+        address = urlsplit(server.stdout.readline().strip()).netloc
+        kinds = [kind for size in SIZES for kind in requests_of(photo(size))]
+        for tenth in range(10):
+            turns, lock = list(range(tenth * count // 10, (tenth + 1) * count // 10)), threading.Lock()
+            threads = [
+                threading.Thread(target=drive_some, args=(address, kinds, turns, lock, tally)) for tally in tallies
+            ]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+            memory.append(round(memory_mib(server.pid), 1))
+    finally:
+        server.stdin.close()
+        server.wait(30)
+    wrong = [reason for tally in tallies for reason in tally.wrong]
+    growth = max(memory) / memory[0] - 1
+    if growth > 0.05:
+        wrong.append(f"memory grew by {growth:.1%} after the first tenth")
+    codes = sum((tally.codes for tally in tallies), Counter[int]())
+    return {
+        "clients": clients,
+        "seconds": round(time.monotonic() - started, 1),
+        "requests": sum(codes.values()) - codes[503],
+        "codes": {str(code): number for code, number in sorted(codes.items())},
+        "memory_mib": memory,
+        "growth": f"{growth:+.1%}",
+        "wrong": wrong[:20],
+    }
 
 
 def measure(profile: str, clients: int, seconds: float) -> dict[str, object]:
@@ -182,13 +242,17 @@ def main() -> int:
     parser.add_argument("--profile", default="scripted")
     parser.add_argument("--clients", type=int, default=16)
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--requests", type=int, default=0, help="send so many instead, of many sizes")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--server", metavar="PROFILE", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.server:
         serve(options.server)
         return 0
-    found = measure(options.profile, options.clients, options.seconds)
+    if options.requests:
+        found = soak(options.profile, options.clients, options.requests)
+    else:
+        found = measure(options.profile, options.clients, options.seconds)
     if options.json:
         print(json.dumps(found))
     else:
