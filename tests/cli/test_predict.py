@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -117,6 +118,44 @@ def test_wrong_use_exits_with_2_and_says_what_is_right(
     said = capsys.readouterr().err
     assert words in said
     assert "Traceback" not in said
+
+
+def test_depth_and_camera_give_an_action(capsys: pytest.CaptureFixture[str]) -> None:
+    depth = np.full((48, 64), 600, np.uint16)
+    depth[12:36, 16:48] = 500
+    Image.fromarray(depth).save("depth.png")
+    Path("camera.json").write_text(json.dumps({"fx": 500, "fy": 500, "cx": 31.5, "cy": 23.5}))
+    assert run("photos/mug.png", "drink", "--depth", "depth.png", "--camera", "camera.json") == 0
+    action = json.loads(Path("out/mug/action.json").read_text())
+    assert action["contacts"][0]["position_xyz"] == pytest.approx([0, 0, 0.5], abs=0.003)
+    assert action["grasps"]
+    with Image.open("out/mug/action.png") as drawn:
+        assert drawn.size == (64, 48)
+    assert "mm wide" in capsys.readouterr().out
+    np.save("depth.npy", depth / 1000.0)
+    Path("camera.json").write_text(json.dumps({"K": [[500, 0, 31.5], [0, 500, 23.5], [0, 0, 1]]}))
+    assert run("photos/mug.png", "drink", "--depth", "depth.npy", "--camera", "camera.json", "--out", "again") == 0
+    assert json.loads(Path("again/mug/action.json").read_text())["grasps"] == action["grasps"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["photos/mug.png", "drink", "--depth", "d.png"], 2, "go together"),
+        (["photos", "drink", "--depth", "d.png", "--camera", "c.json"], 2, "belongs to one image"),
+        (["photos/mug.png", "drink", "--depth", "none.png", "--camera", "c.json"], 1, "none.png"),
+        (["photos/mug.png", "drink", "--depth", "small.png", "--camera", "c.json"], 1, "register the depth"),
+        (["photos/mug.png", "drink", "--depth", "small.png", "--camera", "bad.json"], 1, "bad.json"),
+    ],
+)
+def test_depth_that_does_not_fit_is_named(
+    arguments: list[str], code: int, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("c.json").write_text(json.dumps({"fx": 500, "fy": 500, "cx": 31.5, "cy": 23.5}))
+    Path("bad.json").write_text("{}")
+    Image.fromarray(np.full((10, 10), 500, np.uint16)).save("small.png")
+    assert run(*arguments) == code
+    assert words in "".join(capsys.readouterr())
 
 
 def test_an_unsure_answer_shows_its_guess_and_exits_with_1(capsys: pytest.CaptureFixture[str]) -> None:

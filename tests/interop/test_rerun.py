@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from a4agent.acting.lifting import Intrinsics, lift
 from a4agent.interop import rerun as adapter
-from a4agent.interop.lift import Intrinsics, lift
 from a4agent.types import Affordance, Imagination, Region, Target
 
 rr = pytest.importorskip("rerun", reason="needs the extra interop")

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from a4agent.acting.lifting import Intrinsics, lift
 from a4agent.interop import ros2
-from a4agent.interop.lift import Intrinsics, lift
 from a4agent.types import Affordance, Region, Target
 
 DEFINITIONS: dict[str, dict[str, str]] = {
@@ -150,3 +150,12 @@ def test_a_stamp_never_has_a_whole_second_of_nanoseconds(stamp: float, expected:
 
 def test_no_ros_is_needed() -> None:
     assert not {"rclpy", "vision_msgs", "geometry_msgs"} & set(sys.modules)
+
+
+def test_a_grasp_is_a_stamped_pose() -> None:
+    pose = np.array([[0.0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1]])
+    message = ros2.pose_stamped(pose, frame_id="camera", stamp=(1, 2))
+    assert message["header"] == {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "camera"}
+    assert message["pose"]["position"] == {"x": 0.1, "y": 0.2, "z": 0.3}
+    turned = message["pose"]["orientation"]
+    assert (turned["z"], turned["w"]) == pytest.approx((np.sqrt(0.5), np.sqrt(0.5)))

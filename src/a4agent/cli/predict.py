@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,6 +16,7 @@ from a4agent.cli.sources import Source, find_sources, free_folder, name_results,
 from a4agent.errors import InputError
 
 if TYPE_CHECKING:
+    from a4agent.acting.plan import ActionPlan
     from a4agent.config import Settings
     from a4agent.types import Affordance, Trace
 
@@ -34,6 +35,11 @@ def predict(
     as_json: Annotated[bool, typer.Option("--json", help="Print each answer as a line of JSON.")] = False,
     cache: Annotated[str | None, typer.Option(help="off, read or write: reuse answers kept on disk.")] = None,
     max_cost: Annotated[float | None, typer.Option(help="Stop at this many US dollars.")] = None,
+    depth: Annotated[
+        Path | None, typer.Option(help="A depth image of the same size (16-bit PNG in millimetres, or .npy in metres).")
+    ] = None,
+    camera: Annotated[Path | None, typer.Option(help="Its camera: JSON with fx, fy, cx, cy, or the matrix K.")] = None,
+    depth_scale: Annotated[float, typer.Option(min=1e-9, help="Metres per unit of an integer depth image.")] = 0.001,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace earlier results instead of writing NAME-2, NAME-3, ...")
     ] = False,
@@ -41,21 +47,59 @@ def predict(
     """Find the part to act on, in images, folders or globs.
 
     Writes OUT/NAME/ with affordance.json, mask.png, overlay.png and, when a Dreamer ran, imagination.png.
+    With --depth and --camera also action.json and action.png: contact points in metres and grasps for a gripper.
     Exits with 1 if an image failed or its answer is not certain enough.
     """
     from a4agent.imaging.save import make_folder
+
+    if (depth is None) != (camera is None):
+        raise InputError("--depth and --camera go together: the depth image and the camera it was taken with")
 
     named, instruction = split_arguments(arguments)
     settings = common.settings(profile, sets, engine__cache=cache, engine__max_cost=max_cost)
     samples = name_results(find_sources(named))
     make_folder(out)
+    if depth is not None and len(samples) > 1:
+        raise InputError(f"--depth belongs to one image, and {len(samples)} are named")
     folders = {name: out / name if overwrite else free_folder(out, name) for name in samples}
-    failed = _run(settings, samples, instruction, folders, as_json)
+    sensor = None if depth is None or camera is None else Sensor(depth, camera, depth_scale)
+    failed = _run(settings, samples, instruction, folders, as_json, sensor)
     raise typer.Exit(common.SOME_FAILED if failed else common.OK)
 
 
+@dataclass(frozen=True)
+class Sensor:
+    """Where the depth of an image lies, and its camera."""
+
+    depth: Path
+    camera: Path
+    scale: float
+
+    def plan(self, affordance: Affordance, folder: Path) -> ActionPlan:
+        """Contacts and grasps of an answer, written to its folder.
+
+        Raises:
+            InputError: the files cannot be read, or do not fit the image.
+        """
+        from a4agent.acting.lifting import Intrinsics, read_depth
+        from a4agent.acting.plan import draw_plan, plan_action
+        from a4agent.files import replace_file
+
+        camera = Intrinsics.read(self.camera)
+        plan = plan_action(affordance, depth=read_depth(self.depth, affordance.size_wh, self.scale), camera=camera)
+        replace_file(folder / "action.json", json.dumps(plan.to_dict(), indent=1).encode())
+        if affordance.image is not None:
+            draw_plan(affordance.image, plan, camera).save(folder / "action.png")
+        return plan
+
+
 def _run(
-    settings: Settings, samples: dict[str, Source], instruction: str, folders: dict[str, Path], as_json: bool
+    settings: Settings,
+    samples: dict[str, Source],
+    instruction: str,
+    folders: dict[str, Path],
+    as_json: bool,
+    sensor: Sensor | None = None,
 ) -> int:
     """Predict, save and print; returns how many samples were not accepted."""
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
@@ -73,16 +117,18 @@ def _run(
         task = progress.add_task("predicting", total=len(samples))
         for query, affordance in engine.run(agent, queries, settings=settings.engine):
             label, folder = samples[query.id].label, folders[query.id]
-            saved = True
+            saved, plan = True, None
             try:
                 affordance.save(folder)
+                plan = sensor.plan(affordance, folder) if sensor and affordance.size_wh[0] else None
             except InputError as error:
                 saved, affordance = False, replace(affordance, status="error", error=str(error))
             statuses[affordance.status] += 1
             if as_json:
-                print(json.dumps({"image": label, "out": str(folder), **affordance.to_dict()}), flush=True)
+                action = {"action": plan.to_dict()} if plan else {}
+                print(json.dumps({"image": label, "out": str(folder), **affordance.to_dict(), **action}), flush=True)
             elif len(samples) == 1:
-                _tell(affordance, folder if saved else None)
+                _tell(affordance, folder if saved else None, plan)
             else:
                 _tell_in_short(affordance, label)
             progress.advance(task)
@@ -105,7 +151,7 @@ def _tell_in_short(affordance: Affordance, label: str) -> None:
     console.print(Text.assemble(status, f"{label}: {affordance.summary}"))
 
 
-def _tell(affordance: Affordance, folder: Path | None) -> None:
+def _tell(affordance: Affordance, folder: Path | None, plan: ActionPlan | None = None) -> None:
     """All of an answer in words; `folder` is where its files lie, None if they could not be written."""
     from rich.console import Console
     from rich.text import Text
@@ -126,6 +172,7 @@ def _tell(affordance: Affordance, folder: Path | None) -> None:
         rows.append(("box", "; ".join(", ".join(f"{x:.0f}" for x in box) for box in affordance.boxes_xyxy) or "none"))
         rows.append(("points", "; ".join(f"({x:.0f}, {y:.0f})" for x, y in affordance.points_xy) or "none"))
         rows.append(("mask", f"{int(affordance.mask.sum())} pixels, {share:.1%} of the image"))
+    rows += _action_rows(plan) if plan else []
     rows.append(("took", _took(affordance.trace)))
     if folder is not None:
         name, file = ("file", "affordance.json") if affordance.image is None else ("overlay", "overlay.png")
@@ -135,6 +182,24 @@ def _tell(affordance: Affordance, folder: Path | None) -> None:
         console.print(Text.assemble((f"{name:>9}  ", "bold cyan"), (value, colour)))
     if affordance.status == "abstained":
         say("not certain enough: the mask is the best guess; look at the overlay, or lower verifier.accept")
+
+
+def _action_rows(plan: ActionPlan) -> list[tuple[str, str]]:
+    rows: list[tuple[str, str]] = []
+    for contact in plan.contacts[:1]:
+        at = "not measured" if contact.position_xyz is None else _metres(contact.position_xyz)
+        rows.append(("contact", f"{at}{': ' + contact.reason if contact.reason else ''}"))
+    if plan.grasps:
+        best = plan.grasps[0]
+        grasp = f"{len(plan.grasps)}, best at {_metres(best.pose[:3, 3])}, {1000 * best.width:.0f} mm wide"
+        rows.append(("grasps", f"{grasp}, score {best.score:.2f}"))
+    else:
+        rows.append(("grasps", f"none: {plan.reason}"))
+    return rows
+
+
+def _metres(xyz: Any) -> str:
+    return f"({', '.join(f'{float(v):.3f}' for v in xyz)}) m"
 
 
 def _certainty(affordance: Affordance) -> str:

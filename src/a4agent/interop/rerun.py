@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from a4agent.acting.lifting import Lifted
 from a4agent.errors import require
-from a4agent.interop.lift import Lifted
 from a4agent.types import Affordance
 
 COLOUR = (255, 64, 129)

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from a4agent import client
+from a4agent.acting.lifting import Intrinsics, Lifted, LiftedRegion, back_project, lift
 from a4agent.errors import InputError
-from a4agent.interop.lift import Intrinsics, Lifted, LiftedRegion, back_project, lift
 from a4agent.types import Affordance, Region
 
 CAMERA = Intrinsics(fx=300.0, fy=310.0, cx=79.5, cy=59.5)

@@ -12,12 +12,15 @@ pixel earlier. Depth is z, not the length of the ray.
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
 from a4agent.errors import InputError
+from a4agent.imaging.load import read_pixels
 from a4agent.types import Affordance, Region
 
 OUTLIER_MADS = 6.0
@@ -54,6 +57,26 @@ class Intrinsics:
             raise InputError(f"a camera matrix has 3 x 3 numbers, not the shape {k.shape}")
         k = k.reshape(3, 3)
         return cls(float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
+
+    @classmethod
+    def read(cls, path: Path) -> Intrinsics:
+        """From a JSON file: {"fx", "fy", "cx", "cy"}, or a matrix under "K", "k", "camera_matrix" or alone.
+
+        Raises:
+            InputError: it cannot be read, or holds no camera.
+        """
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+            if isinstance(data, dict):
+                table = cast("dict[str, Any]", data)
+                if {"fx", "fy", "cx", "cy"} <= set(table):
+                    return cls(*(float(table[name]) for name in ("fx", "fy", "cx", "cy")))
+                data = next(table[name] for name in ("K", "k", "camera_matrix") if name in table)
+            return cls.of(np.asarray(data, np.float64))
+        except StopIteration:
+            raise InputError(f"{str(path)!r} holds neither fx, fy, cx, cy nor a matrix K") from None
+        except (OSError, ValueError, TypeError, RecursionError) as error:
+            raise InputError(f"cannot read the camera {str(path)!r}: {error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +157,7 @@ def lift(
             " answer of a4agent.client becomes one by Affordance.from_dict(answer.to_dict())"
         )
     camera = intrinsics if isinstance(intrinsics, Intrinsics) else Intrinsics.of(intrinsics)
-    metres = _metres(depth, affordance.size_wh, depth_scale)
+    metres = metres_of(depth, affordance.size_wh, depth_scale)
     label = affordance.phrase
     regions = tuple(_lift_region(region, metres, camera, radius) for region in affordance.regions)
     return Lifted(frame_id, regions, label)
@@ -147,7 +170,12 @@ def back_project(points_xy: np.ndarray, z: np.ndarray, camera: Intrinsics) -> np
     return np.stack([x, y, z], axis=1)
 
 
-def _metres(depth: np.ndarray, size_wh: tuple[int, int], depth_scale: float | None) -> np.ndarray:
+def metres_of(depth: np.ndarray, size_wh: tuple[int, int], depth_scale: float | None = None) -> np.ndarray:
+    """A depth image (H, W) as float64 metres, NaN where nothing was measured.
+
+    Raises:
+        InputError: another size than the picture, or integers without `depth_scale` (metres per unit).
+    """
     depth = np.asarray(depth)
     width, height = size_wh
     if depth.shape != (height, width):
@@ -163,6 +191,22 @@ def _metres(depth: np.ndarray, size_wh: tuple[int, int], depth_scale: float | No
         depth_scale = 1.0
     metres = depth.astype(np.float64) * depth_scale
     return np.where(np.isfinite(metres) & (metres > 0), metres, np.nan)
+
+
+def read_depth(path: Path, size_wh: tuple[int, int], depth_scale: float = 0.001) -> np.ndarray:
+    """A depth picture (16-bit PNG or TIFF) or a .npy array, as (H, W) float64 metres, NaN where not measured.
+
+    Args:
+        depth_scale: metres per unit of integer files; floats are metres.
+
+    Raises:
+        InputError: it cannot be read, or is not of the picture's size.
+    """
+    try:
+        values = np.load(path, allow_pickle=False) if path.suffix == ".npy" else read_pixels(path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read the depth {str(path)!r}: {error}") from error
+    return metres_of(values, size_wh, None if values.dtype.kind == "f" else depth_scale)
 
 
 def _lift_region(region: Region, metres: np.ndarray, camera: Intrinsics, radius: int) -> LiftedRegion:
