@@ -224,7 +224,7 @@ def test_a_file_of_the_server_or_an_address_is_not_taken_for_an_upload(url: str,
 @pytest.mark.parametrize("path", ["/etc/passwd", "/dev/zero", "/tmp/../etc/hostname"])
 def test_a_forged_upload_without_its_mark_reads_no_file_of_the_server(url: str, path: str) -> None:
     event = call_queue(url, [{"path": path}, "open it", "offline", True])
-    assert "Upload the photo on this page" in json.dumps(event)
+    assert "upload the photo on this page" in json.dumps(event)
 
 
 def test_a_visitor_cannot_name_a_profile_file(url: str, tmp_path: Path) -> None:

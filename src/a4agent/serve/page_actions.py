@@ -226,7 +226,7 @@ def _verdict(affordance: Affordance) -> str:
         return ""
     if affordance.status == "abstained":
         worst = page_views.worst_check(affordance)
-        reason = f" {sentence(worst.note)}" if worst else ""
+        reason = f" {sentence(worst.note)}" if worst and (worst.value or 0.0) < 0.5 else ""
         return page_views.message(f"This is a guess: check it before you act on it.{reason}", "note")
     if affordance.status == "empty":
         part = affordance.phrase
