@@ -2,8 +2,9 @@
 
     python perf/metrics.py [--masks 3000]
 
-Three ways in, each from mask to `Scores` with its intervals: arrays that are already in memory, COCO RLE for both
-sides (as a run keeps them), and PNG predictions against PNG truths (as `a4 score` reads them).
+Four ways in, each from mask to `Scores` with its intervals: arrays that are already in memory, COCO RLE for both
+sides (as a run keeps them), PNG predictions against PNG truths (as `a4 score` reads them), and the same kept as a run
+(`a4 score --out`). The last two also print how often a true mask was read: once a sample.
 """
 
 from __future__ import annotations
@@ -16,16 +17,19 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from a4agent.benchmarks.base import Benchmark, Sample
 from a4agent.benchmarks.predictions import Predictions
 from a4agent.benchmarks.registry import load
 from a4agent.imaging.masks import decode_rle, encode_rle
 from a4agent.metrics import Row, measure, score
-from a4agent.runs.external import score_predictions
+from a4agent.runs.external import score_predictions, write_run
 
 WIDTH, HEIGHT, DIFFERENT = 1920, 1080, 20
 
@@ -80,12 +84,30 @@ def main() -> None:
             truth = f"truth{other}.png"
             lines.append(json.dumps({"id": str(number), "image": truth, "mask": truth, "instruction": "x"}))
         (root / "samples.jsonl").write_text("\n".join(lines))
-        data, predictions = load("folder", root), Predictions(root / "predictions")
-        timed(
-            "PNG files (a4 score)",
-            count,
-            lambda: (outcome.row for outcome in score_predictions(data, predictions)),
-        )
+        data, reads = counted(load("folder", root))
+        predictions = Predictions(root / "predictions")
+        timed("PNG files (a4 score)", count, lambda: (one.row for one in score_predictions(data, predictions)))
+        print(f"{'':<22} {len(reads)} true masks read for {count} samples")
+        reads.clear()
+        kept = partial(write_run, data, predictions, root / "run", name="theirs")
+        timed("kept (a4 score --out)", count, lambda: (record.scored for record in kept().records.values()))
+        print(f"{'':<22} {len(reads)} true masks read for {count} samples")
+
+
+def counted(benchmark: Benchmark) -> tuple[Benchmark, list[str]]:
+    """The same benchmark, and a list that grows by an id whenever a true mask is read."""
+    reads: list[str] = []
+
+    def sample(index: int) -> Sample:
+        plain = benchmark[index]
+
+        def load_mask() -> np.ndarray:
+            reads.append(plain.id)
+            return plain.truth.mask()
+
+        return replace(plain, truth=replace(plain.truth, load_mask=load_mask))
+
+    return replace(benchmark, sample=sample), reads
 
 
 if __name__ == "__main__":

@@ -292,6 +292,19 @@ def test_a_contact_is_the_deepest_point_and_must_lie_in_the_truth() -> None:
     assert contact_hit(ring.repeat(3, 0).repeat(2, 1), (truth,)) == 1.0, "in the truth's pixels"
 
 
+@pytest.mark.parametrize("size", [479, 960, 1441])
+def test_a_contact_of_a_large_mask_lies_in_it(size: int) -> None:
+    for seed in range(20):
+        mask = np.zeros((size, size + 37), bool)
+        top, left, height, width = np.random.default_rng(seed).integers(1, size // 2, 4)
+        mask[top : top + height, left : left + width] = True
+        assert contact_hit(mask, (mask,)) == 1.0
+    thin = np.zeros((1200, 1200), bool)
+    thin[700, 3:1100] = True
+    assert contact_hit(thin, (thin,)) == 1.0
+    assert contact_hit(thin, (np.roll(thin, 1, 0),)) == 0.0
+
+
 def test_the_best_mask_is_named() -> None:
     prediction = np.eye(4, dtype=bool)
     row, best = measure_best(prediction, (~prediction, prediction))

@@ -30,6 +30,8 @@ MEASURES = {"giou": "gIoU", "ciou": "cIoU", "p50": "P@50", "p50_95": "P@50:95"}
 
 THRESHOLDS = np.arange(50, 100, 5)  # percent
 RESAMPLES = 2000
+CONTACT_SIDE = 480
+"""A mask is searched for its contact point at about so many pixels a side."""
 
 
 class Row(NamedTuple):
@@ -206,16 +208,22 @@ def _measure(prediction_mask: np.ndarray | None, truth_mask: np.ndarray, status:
 def contact_hit(prediction_mask: np.ndarray | None, truth_masks: Sequence[np.ndarray]) -> float | None:
     """1 if the prediction's contact point lies in one of the right masks, else 0; None if all of those are blank.
 
-    The contact point is the centre of the pixel farthest from the mask's border: where a robot would touch. A missing
-    or blank prediction is a miss.
+    The contact point is the centre of the pixel farthest from the mask's border: where a robot would touch. Large masks
+    are searched at every few pixels. A missing or blank prediction is a miss.
     """
     if not any(mask.any() for mask in truth_masks):
         return None
-    point = None if prediction_mask is None else deepest_point(prediction_mask)
-    if prediction_mask is None or point is None:
+    if prediction_mask is None:
         return 0.0
-    x, y = (point / prediction_mask.shape[::-1]).tolist()
-    return float(any(mask[int(y * mask.shape[0]), int(x * mask.shape[1])] for mask in truth_masks))
+    step = max(1, max(prediction_mask.shape) // CONTACT_SIDE)
+    coarse = prediction_mask[step // 2 :: step, step // 2 :: step]
+    point = deepest_point(coarse)
+    if point is None and step > 1:  # too thin to be seen from afar
+        step, coarse, point = 1, prediction_mask, deepest_point(prediction_mask)
+    if point is None:
+        return 0.0
+    column, row = (np.floor(point) * step + step // 2 + 0.5) / prediction_mask.shape[::-1]
+    return float(any(mask[int(row * mask.shape[0]), int(column * mask.shape[1])] for mask in truth_masks))
 
 
 def nearest_neighbour(mask: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
