@@ -38,8 +38,8 @@ class Row(NamedTuple):
     """One scored sample. `intersection` and `union` are pixels; for a failed sample they are 0 and the truth's area.
 
     `status` is the affordance's: "invalid" (a model's answer could not be read) and "error" (it failed
-    otherwise) are failures. The pixel counts say whether a mask was blank; None is not known.
-    `resized` marks a prediction that came in another size than the truth.
+    otherwise) are failures. Pixel counts tell whether a mask was blank; None is unknown.
+    `resized` marks a prediction of another size than the truth.
     """
 
     intersection: int
@@ -56,7 +56,7 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class Protocol:
-    """How the samples that are not plain pairs of masks enter a score.
+    """How failed and empty samples enter a score.
 
     `both_empty` is the IoU where U = 0 (None: the sample is dropped); `drops_errors` leaves out samples
     that failed other than by an unreadable answer, all other failures count as IoU 0 with U = the truth's
@@ -132,7 +132,7 @@ class Difference:
 
     @property
     def clear(self) -> bool:
-        """The interval leaves out 0."""
+        """The interval excludes 0."""
         return self.low > 0 or self.high < 0
 
 
@@ -153,7 +153,7 @@ class Comparison:
 def intersection_union(prediction_mask: np.ndarray, truth_mask: np.ndarray) -> tuple[int, int]:
     """Pixels in both masks and in either, counted in the truth's pixels. Masks are (H, W), foreground is non-zero.
 
-    A prediction of another size is brought to the truth's by its nearest neighbours.
+    A prediction of another size is resized to the truth's by nearest neighbours.
     """
     row = measure(prediction_mask, truth_mask)
     return row.intersection, row.union
@@ -332,7 +332,7 @@ def compare(
 
 
 def _table(rows: Sequence[Row], rule: Protocol) -> tuple[np.ndarray, np.ndarray]:
-    """What each sample adds to the sums, (5, n) float64: IoU, whether above 0.5, thresholds passed, I, U.
+    """Each sample's part of the sums, (5, n) float64: IoU, whether above 0.5, thresholds passed, I, U.
 
     The second value (n,) of bool says which samples the protocol keeps.
     """

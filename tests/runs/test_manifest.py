@@ -89,7 +89,7 @@ def test_all_labels_of_a_configuration_are_kept() -> None:
     manifest = Manifest({}, {"profile": "mine", "label": "first"})
     assert (Manifest({}).labels, manifest.labels) == ((), ("first",))
     for label in ("second", "first", ""):
-        manifest = Manifest({}, {"profile": "mine", "label": label}).taking_up(manifest)
+        manifest = Manifest({}, {"profile": "mine", "label": label}).merged_with(manifest)
     assert (manifest.label, manifest.labels) == ("first", ("first", "second"))
 
 

@@ -4,7 +4,7 @@
     with A4Agent.from_settings(settings) as agent:
         run = work.run(agent)
 
-The agent sees queries only. What is true is read here, when the answer has come.
+The agent sees queries only; the truth stays here.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Selection:
     shuffle: int | None = None
 
     def indices(self, size: int) -> list[int]:
-        """Positions in the benchmark, in the order to be asked in; the same on every machine."""
+        """Positions in the benchmark, in the order in which they are asked; the same on every machine."""
         chosen = list(range(size))
         if self.shuffle is not None:
             chosen.sort(key=lambda i: hashlib.sha256(f"{self.shuffle} {i}".encode()).digest())
@@ -54,8 +54,8 @@ class Selection:
 class Progress:
     """How far a run is. `scored` of `planned` samples have a record, `failed` of them are invalid or errors.
 
-    This session is to ask for `to_ask` samples and has `asked` some; `cost` is in US dollars, of this session.
-    `unscored` maps samples whose row was refused or whose truth could not be read to the reason; they have no record.
+    This session has `asked` so many of its `to_ask` samples; `cost` is its cost in US dollars.
+    `unscored` maps samples without a record (refused row, unreadable truth) to the reason.
     """
 
     planned: int
@@ -76,11 +76,11 @@ class Progress:
 
     @property
     def giou(self) -> float:
-        """Of the samples so far; NaN before the first."""
+        """gIoU of the samples so far; NaN before the first."""
         return self._iou / self._counted if self._counted else float("nan")
 
     def count(self, row: metrics.Row, protocol: str, sign: int = 1) -> None:
-        """Count a row in, or one that is replaced out."""
+        """Add a row, or with `sign=-1` remove one that is replaced."""
         self.scored += sign
         self.failed += sign * row.failed
         value = metrics.iou(row, protocol)
@@ -135,13 +135,13 @@ class Bench:
         )
 
     def folder(self, manifest: Manifest) -> Path:
-        """Where the run goes: its name holds benchmark, profile and configuration unless a folder was named."""
+        """The run folder: `out`, or one named by benchmark, profile and configuration."""
         oracle = f"-oracle-{self.oracle}" if self.oracle else ""
         return self.out or RUNS / f"{self.benchmark.name}-{self.settings.name}{oracle}-{manifest.hash}"
 
     @contextmanager
     def open(self, agent: A4Agent) -> Generator[Session, None, None]:
-        """Take hold of the run folder; iterate over the session to ask for what it does not have yet.
+        """Lock the run folder; iterate over the session to ask for the samples that it lacks.
 
         Raises:
             ConfigError: the folder belongs to another configuration.
@@ -152,7 +152,7 @@ class Bench:
             yield Session(self, agent, writer)
 
     def run(self, agent: A4Agent) -> Run:
-        """Ask for all that is missing; returns the run as it stands then. Raises what a session raises."""
+        """Ask for every missing sample and return the run. Raises what a session raises."""
         with self.open(agent) as session:
             for _ in session:
                 pass
@@ -160,7 +160,7 @@ class Bench:
 
 
 class Session:
-    """One start on a run folder. Iterate over it for a record a sample; `progress.unscored` says which have none.
+    """One start on a run folder. Iterate for a record per sample; `progress.unscored` names samples without one.
 
     Raises, while iterating:
         BudgetExceeded, UserError, ProviderError: see `engine.run`; what was answered is kept.
@@ -220,7 +220,7 @@ class Session:
             try:
                 return given_of(asked.sample, oracle, asked.truths()[0]) if oracle else None
             except InputError:
-                return None  # the agent will find the same wrong with the picture, and it is this sample's answer
+                return None  # the agent will fail on the same picture, and that is this sample's answer
 
         settings, stats = self._work.settings, self.progress.stats
         known = given if oracle else None

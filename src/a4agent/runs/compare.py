@@ -1,7 +1,7 @@
-"""Runs side by side on the samples they share, and where the points go.
+"""Runs side by side on the samples they share, and what each stage costs.
 
-The first run is what the others are compared with. Differences are paired, with 95 % intervals. Runs
-that differ in nothing but their oracle make a table of losses: what each stage costs in gIoU.
+Every run is compared with the first. Differences are paired, with 95 % intervals. Runs that differ only in
+their oracle make a table of losses: the cost of each stage in gIoU.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def compare(first: Run, second: Run, protocol: str | None = None) -> Pair:
         raise DataError(f"{str(first.folder)!r} and {str(second.folder)!r}: {error}") from error
     _same_truths(first, second, result)
     configurations = [_configuration(run) for run in (first, second)]
-    if first.external or second.external:  # of another system only its name is known
+    if first.external or second.external:  # only the name of another system is known
         for run, found in zip((first, second), configurations, strict=True):
             found.update(settings=None, experts=None, prompts=None, system=run.manifest.label)
     changed = differences(configurations[0], configurations[1])

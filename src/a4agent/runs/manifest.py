@@ -1,4 +1,4 @@
-"""What a run is: the configuration that decides its answers, and the circumstances it was made under.
+"""What a run is: the configuration that decides its answers, and the circumstances of each start.
 
     {
      "schema": 1,
@@ -13,7 +13,7 @@
      "sessions": [{"started": "2026-11-22T07:40:00+00:00", "command": "a4 bench ...", "versions": {...}, "git": {...}}]
     }
 
-A folder holds one identity; every start on it adds a session, and a new label to "labels" in "about".
+A folder holds one identity; every start adds a session, and any new label to "labels" in "about".
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Manifest:
 
     @property
     def system(self) -> str:
-        """Names what answers, whatever it is asked: runs of one system on several benchmarks share it."""
+        """Names the system: its runs on several benchmarks share this value."""
         asked = ("settings", "experts", "prompts", "oracle")
         return hashlib.sha256(_canonical({key: self.identity.get(key) for key in asked}).encode()).hexdigest()[:8]
 
@@ -84,7 +84,7 @@ class Manifest:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """All names that tables gave this configuration; one may be a row of several."""
+        """All labels of this configuration; it may be a row of several tables."""
         return tuple(self.about.get("labels") or filter(None, [self.about.get("label")]))
 
     @property
@@ -95,8 +95,8 @@ class Manifest:
         oracle = {"truth": "yes"} if self.identity.get("oracle") else {}
         return {**dict.fromkeys(LEAKS, "unknown"), **known, **(self.about.get("leaks") or {}), **oracle}
 
-    def taking_up(self, there: Manifest) -> Manifest:
-        """This manifest with the sessions and the names of the one that is `there`, of the same configuration."""
+    def merged_with(self, there: Manifest) -> Manifest:
+        """This manifest with the sessions and labels of `there`, which has the same configuration."""
         named = self.about.get("label") or there.about.get("label") or ""
         labels = list(dict.fromkeys(filter(None, (*there.labels, named))))
         return Manifest(there.identity, {**there.about, **self.about, "label": named, "labels": labels}, there.sessions)
@@ -164,8 +164,8 @@ _FILE = TypeAdapter(_File)
 def settings_identity(settings: Settings) -> dict[str, Any]:
     """The settings of the stages that decide an answer.
 
-    Of an expert its name only: which of its settings change an answer is in its fingerprint, and a smaller
-    batch or another address of the same server are no reason to start anew.
+    Experts appear by name only: their fingerprints hold the settings that change answers, so a smaller batch or a new
+    server address does not start a new run.
     """
     found = settings.model_dump(mode="json", include={*STAGES, "image"})
     for name in settings.expert_specs():
@@ -177,7 +177,7 @@ def settings_identity(settings: Settings) -> dict[str, Any]:
 
 
 def settings_told(settings: Settings) -> dict[str, Any]:
-    """All settings, for people who want to know, without secrets."""
+    """All settings, without secrets, for readers of the manifest."""
     return redact(settings.model_dump(mode="json", exclude={"profile", "name"}))
 
 
@@ -221,7 +221,7 @@ def circumstances() -> dict[str, Any]:
 
 @cache
 def versions() -> dict[str, str]:
-    """The versions of Python, of this package and of the libraries that decide answers, where they are installed."""
+    """Installed versions of Python, this package and the libraries that affect answers."""
     found = {"python": platform.python_version()}
     for library in ("a4agent", *LIBRARIES):
         try:
@@ -233,7 +233,7 @@ def versions() -> dict[str, str]:
 
 @cache
 def git_state(folder: Path) -> dict[str, Any] | None:
-    """Commit and dirtiness of the checkout that holds this code, None outside of one."""
+    """Commit of the checkout that holds this code and whether it has changes; None outside of one."""
 
     def git(*arguments: str) -> str:
         command = ["git", "-C", str(folder), *arguments]

@@ -1,4 +1,4 @@
-"""The numbers others published, as data (published.toml), to stand beside ours.
+"""The published numbers, as data (published.toml).
 
 table = published.table("umd")
 table.rows["Affordance-R1"]                # (49.85, 42.24, 53.35, 34.08), percent

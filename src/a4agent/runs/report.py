@@ -1,9 +1,8 @@
-"""A run as one HTML file: opens from a disk without a network, and stays fluent with thousands of samples.
+"""A run, or two compared, as one HTML file: opens without a network and stays responsive with thousands of samples.
 
 The page's frame (scores, published numbers, categories, stages) is rendered here; the samples travel as
 JSON and are drawn by page/page.js, those in sight only. Each picture is a text element of its own that
-the browser decodes when a card wants it. Masks are brought to their picture's size and stay run-length
-encoded.
+the browser decodes when a card is in sight. Masks are scaled to their picture and stay run-length encoded.
 """
 
 from __future__ import annotations

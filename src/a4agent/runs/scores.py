@@ -1,4 +1,4 @@
-"""What a run scored: as a whole, by category and tag, and in words why a sample missed."""
+"""The scores of a run: overall, by category and tag, and why each sample missed."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ OUTCOMES = ("hit", "too much", "too little", "partly", "elsewhere", "nothing fou
 
 
 def protocol_of(run: Run) -> str:
-    """The protocol that the run was made for."""
+    """The protocol of the run."""
     return str(run.manifest.identity["protocol"])
 
 
 def rows_of(run: Run) -> dict[str, Row]:
-    """What the metrics need, by sample id."""
+    """The rows for the metrics, by sample id."""
     return {id: record.scored for id, record in run.records.items()}
 
 
 def score(run: Run, protocol: str | None = None) -> Scores:
-    """The scores of the samples that are there; by the run's own protocol unless another is named."""
+    """The scores of the records so far, by the run's own protocol unless another is named."""
     return metrics.score(rows_of(run).values(), protocol or protocol_of(run))
 
 
 def by_group(run: Run, protocol: str | None = None) -> dict[str, dict[str, Scores]]:
     """The scores by "category" and by each tag of the samples, worst gIoU first, those without one last.
 
-    What the benchmark does not have is left out, and so is a tag that says the same as the category.
+    Empty groups are omitted, and so are tags that equal the category.
     """
     records = list(run.records.values())
     columns = {"category": [record.category for record in records]}

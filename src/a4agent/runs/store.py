@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 PICTURE_SIDE = 768
 SCORED = ("id", "status", "intersection", "union", "truth_pixels", "prediction_pixels", "category", "resized")
-"""The fields that a writer keeps in memory; masks and traces stay on the disk."""
+"""The fields that a writer keeps in memory; masks and traces stay on disk."""
 STATUSES: tuple[Status, ...] = ("ok", "abstained", "empty", "invalid", "error")
 
 
@@ -100,12 +100,12 @@ class Record:
 
     @property
     def tags(self) -> Mapping[str, str]:
-        """Further things to break scores down by."""
+        """Further groups to score by."""
         return self.row.get("tags") or {}
 
     @property
     def truth(self) -> Mapping[str, Any]:
-        """The true mask as COCO RLE; of several right ones the one that counted."""
+        """The true mask as COCO RLE; the best match where several are right."""
         return self.row["truth"]
 
     @property
@@ -124,13 +124,13 @@ class Record:
 
     @property
     def cost(self) -> float:
-        """Dollars spent; what the cache answered was paid before."""
+        """US dollars spent on answers that did not come from the cache."""
         return sum(step.get("cost") or 0.0 for step in self.row["trace"] if not step.get("cached"))
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A run as it stands on disk: `records` by id, the last of each."""
+    """A run on disk: `records` by id, the last of each."""
 
     folder: Path
     manifest: Manifest
@@ -138,12 +138,12 @@ class Run:
 
     @property
     def planned(self) -> int:
-        """How many samples the run is to have when it is complete."""
+        """How many samples the complete run has."""
         return int(self.manifest.identity["selection"]["samples"])
 
     @property
     def external(self) -> bool:
-        """Whether the masks are another system's; see `external.write_run`."""
+        """Whether another system wrote the masks; see `external.write_run`."""
         return "predictions" in self.manifest.identity
 
     @property
@@ -152,7 +152,7 @@ class Run:
 
 
 def read_run(folder: str | Path) -> Run:
-    """A run to look at; it may still be written by another process.
+    """Read a run; another process may still be writing it.
 
     Raises:
         DataError: not a run folder, or a line of it is damaged.
@@ -211,7 +211,7 @@ class RunWriter:
                 if run.wants(sample.id):
                     run.add(...)
 
-    `retry` names the statuses that are asked for again, once a session.
+    Samples with a status in `retry` are asked again, once a session.
     """
 
     def __init__(self, folder: str | Path, manifest: Manifest, retry: Iterable[Status] = ()) -> None:
@@ -224,24 +224,24 @@ class RunWriter:
         self._held = ExitStack()
 
     def __enter__(self) -> RunWriter:
-        """Create the folder or take up the one that is there.
+        """Create the folder or continue the one that exists.
 
         Raises:
             ConfigError: the folder belongs to another configuration; the message says what differs.
             DataError: it is another process's, or not a run folder.
         """
         try:
-            self._take_up()
+            self._open()
         except OSError as error:
             raise DataError(
                 f"{str(self.folder)!r} cannot be written: {error}; choose another folder with --out"
             ) from error
         return self
 
-    def _take_up(self) -> None:
+    def _open(self) -> None:
         path = self.folder / "manifest.json"
         if not path.exists() and self.folder.is_dir() and _foreign(self.folder):
-            raise DataError(f"{str(self.folder)!r} holds other files and no run; choose another folder with --out")
+            raise DataError(f"{str(self.folder)!r} holds other files and not a run; choose another folder with --out")
         self.folder.mkdir(parents=True, exist_ok=True)
         with ExitStack() as held:
             held.enter_context(hold(self.folder / "lock"))
@@ -262,12 +262,12 @@ class RunWriter:
         self._held.close()
 
     def wants(self, id: str) -> bool:
-        """Whether this sample is still to be asked for."""
+        """Whether this sample still needs an answer."""
         return id not in self.records or id in self._pending_retry
 
     @property
     def settled(self) -> int:
-        """How many records are there to stay."""
+        """How many records are final."""
         return len(self.records) - len(self._pending_retry)
 
     def add(self, row: Mapping[str, Any]) -> Record:
@@ -291,7 +291,7 @@ class RunWriter:
         return record
 
     def add_picture(self, image: Image) -> str:
-        """Keep a picture to look at (a JPEG of at most 768 pixels a side); returns its path below the folder."""
+        """Keep a picture as a JPEG of at most 768 pixels a side; returns its path below the folder."""
         from PIL import Image as Images
 
         name = f"images/{image_hash(image)[:20]}.jpg"
@@ -310,9 +310,9 @@ class RunWriter:
         if found:
             shown = "; ".join(found[:6]) + (f"; and {len(found) - 6} more" if len(found) > 6 else "")
             raise ConfigError(
-                f"{str(self.folder)!r} is the run of another configuration ({shown}); choose another folder with --out"
+                f"{str(self.folder)!r} belongs to another configuration ({shown}); choose another folder with --out"
             )
-        self.manifest = self.manifest.taking_up(there)
+        self.manifest = self.manifest.merged_with(there)
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -382,12 +382,12 @@ def _repair(path: Path) -> None:
 
 
 def _foreign(folder: Path) -> bool:
-    """Whether there is something in the folder that no run leaves behind when it dies at its very start."""
+    """Whether the folder holds files that a run killed at its start would not leave."""
     return any(not (path.name == "lock" or is_draft(path)) for path in folder.iterdir())
 
 
 def _sweep(folder: Path) -> None:
-    """Remove what a killed writer had half written; only for who holds the folder's lock."""
+    """Remove the drafts of a killed writer. The caller holds the folder's lock."""
     for place in (folder, folder / "images"):
         for path in place.iterdir() if place.is_dir() else ():
             if is_draft(path):

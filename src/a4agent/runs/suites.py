@@ -1,4 +1,4 @@
-"""A suite: all the systems of one table, as a small TOML file. The paper's tables come with the package.
+"""A suite: all systems of one table, as a small TOML file. The paper's tables come with the package.
 
     table = "ablation-stages"                       # a key of published.toml; it names the benchmarks
 
@@ -50,7 +50,7 @@ class Suite(BaseModel):
         return self
 
     def benchmark_names(self) -> tuple[str, ...]:
-        """What every system runs on."""
+        """The benchmarks that every system runs on."""
         return self.benchmarks or published.table(str(self.table)).benchmarks
 
 

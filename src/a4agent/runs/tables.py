@@ -52,7 +52,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Filled:
-    """A table with rows of both kinds. `notes` say how ours came about."""
+    """A table with published rows and ours. `notes` describe our runs."""
 
     title: str
     columns: tuple[str, ...]
@@ -66,7 +66,7 @@ class Filled:
 
 
 def fill(runs: Sequence[Run], key: str | None = None) -> list[Filled]:
-    """Every published table that the runs have columns of, or the one named; then what no table has room for.
+    """Every published table that the runs have columns of, or the one named; then the benchmarks without one.
 
     Raises:
         UnknownNameError: no such table.
@@ -176,7 +176,7 @@ def _label(run: Run, names: Container[str]) -> str:
 
 
 def _beside(theirs: Sequence[Line], ours: Sequence[Line]) -> list[Line]:
-    """Each of our rows under the published one of its name, the others at the end."""
+    """Each of our rows below the published row of its name, the others at the end."""
     left = list(ours)
     lines: list[Line] = []
     for line in theirs:
@@ -199,7 +199,7 @@ def _cell(run: Run | None, measure: str) -> Cell:
 
 
 def _notes(runs: Iterable[Run], names: Container[str]) -> list[str]:
-    """How each run came about: a number without this is not worth printing."""
+    """One note per run: protocol, samples, failures, leaks."""
     notes: list[str] = []
     for run in runs:
         found, selection = _scores(run), run.manifest.identity["selection"]
@@ -223,7 +223,7 @@ def _abstained(run: Run) -> str:
 
 @lru_cache(maxsize=64)
 def _scores(run: Run) -> metrics.Scores:
-    """Scores once a run: its row has several columns, and intervals take time."""
+    """The scores of a run, computed once: a row has several columns, and intervals take time."""
     return scores.score(run)
 
 
