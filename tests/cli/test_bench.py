@@ -260,7 +260,8 @@ def test_the_live_line_of_a_retry_does_not_begin_at_its_end(monkeypatch: pytest.
 def test_another_threshold_is_read_without_asking(a4: Type, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("drawn.toml").write_text(Path("drawn.toml").read_text() + '[verifier]\nsignals = ["geometry"]\naccept = 0.9\n')
     out = a4(*BENCH)[1]
-    assert "accepted from 0.9" in out
+    assert "accepted from 0.9, " in out
+    assert " abstained" in out
     assert "AUROC" in out
     (folder,) = Path("runs").iterdir()
     rows = [json.loads(line) for line in (folder / "samples.jsonl").read_text().splitlines()]

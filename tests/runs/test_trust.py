@@ -66,7 +66,7 @@ def test_coverage_and_accepted_scores_count_every_sample() -> None:
     run = run_of([(0.9, 80, "ok"), (0.8, 40, "ok"), (0.3, 90, "abstained"), (None, 0, "error")])
     found = trust.trust(run, resamples=20)
     assert found
-    assert (found.n, found.n_rated, found.accept) == (4, 3, 0.5)
+    assert (found.n, found.n_rated, found.n_abstained, found.accept) == (4, 3, 1, 0.5)
     assert found.values["coverage"] == 0.5
     assert found.values["accepted_giou"] == pytest.approx(0.6)
     assert found.values["accepted_right"] == 0.5

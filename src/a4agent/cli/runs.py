@@ -128,6 +128,8 @@ def _announce(path: Path, show: bool) -> None:
 
 
 def _show_pair(pair: Pair) -> None:
+    from a4agent.runs import scores
+
     result = pair.result
     print(f"{pair.first.folder}  ->  {pair.second.folder}")
     print(
@@ -143,6 +145,9 @@ def _show_pair(pair: Pair) -> None:
         print(
             f"{line.label:<15} {scale * line.first:7.2f} {scale * line.second:7.2f} {_change(line.change, scale)}{mark}"
         )
+    abstained = [scores.statuses(run).get("abstained", 0) for run in (pair.first, pair.second)]
+    if any(abstained):
+        print(f"abstained: {abstained[0]} -> {abstained[1]}")
     print(f"crossed IoU 0.5 upwards: {_some(result.gained)}")
     print(f"crossed IoU 0.5 downwards: {_some(result.lost)}")
     print()

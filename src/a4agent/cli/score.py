@@ -198,7 +198,7 @@ def _show_trust(found: Trust) -> None:
     from a4agent.runs.trust import MEASURES
 
     at = "" if found.accept is None else f", accepted from {found.accept:g}"
-    print(f"confidence of {found.n_rated} of {found.n} answers{at}")
+    print(f"confidence of {found.n_rated} of {found.n} answers{at}, {found.n_abstained} abstained")
     for name, label in MEASURES.items():
         low, high = found.intervals[name]
         print(f"{label:<15}{percent(found.values[name])}   95% {percent(low)} to {percent(high)}")

@@ -154,6 +154,7 @@ def to_dict(pairs: Sequence[Pair], tables: Sequence[Sequence[Loss]]) -> dict[str
                     }
                     for kind, lines in (("measures", pair.measures), ("trust", pair.trust))
                 },
+                "statuses": [scores.statuses(run) for run in (pair.first, pair.second)],
                 "gained": list(pair.result.gained),
                 "lost": list(pair.result.lost),
             }

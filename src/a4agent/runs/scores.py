@@ -78,6 +78,11 @@ def outcome(record: Record) -> str:
     return "too little" if 2 * row.intersection >= found else "partly"
 
 
+def statuses(run: Run) -> dict[str, int]:
+    """How many samples have each status."""
+    return dict(Counter(record.status for record in run.records.values()))
+
+
 @dataclass(frozen=True)
 class Mean:
     """The mean of a further measure over the `n` samples where it is defined, with its 95 % bootstrap interval."""
@@ -141,7 +146,7 @@ def summary(run: Run, accept: float | None = None) -> dict[str, Any]:
         "planned": run.planned,
         "complete": run.complete,
         "scores": score(run).to_dict(),
-        "statuses": dict(Counter(record.status for record in run.records.values())),
+        "statuses": statuses(run),
         "measures": {name: asdict(mean) for name, mean in measures(run).items()},
         "trust": found.to_dict() if (found := trust.trust(run, accept)) else None,
         "leaks": run.manifest.leaks,

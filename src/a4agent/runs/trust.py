@@ -47,14 +47,16 @@ class Bin:
 
 @dataclass(frozen=True)
 class Trust:
-    """`n` answers, `n_rated` of them with a confidence; the figures of `MEASURES` from 0 to 1, NaN where undefined.
+    """Of `n` answers `n_rated` have a confidence and `n_abstained` were not accepted.
 
-    AUROC, AURC, ECE and Brier are of the rated answers, `coverage` is the share of all answers that was accepted.
-    `curve` holds (coverage, risk): the share of wrong answers among the most confident.
+    `values` are the figures of `MEASURES` from 0 to 1, NaN where undefined: AUROC, AURC, ECE and Brier of the rated
+    answers, `coverage` the share of all answers that was accepted. `curve` holds (coverage, risk): the share of wrong
+    answers among the most confident.
     """
 
     n: int
     n_rated: int
+    n_abstained: int
     accept: float | None
     values: dict[str, float]
     intervals: dict[str, tuple[float, float]]
@@ -66,6 +68,7 @@ class Trust:
         return {
             "n": self.n,
             "rated": self.n_rated,
+            "abstained": self.n_abstained,
             "accept": self.accept,
             **{name: _json(value) for name, value in self.values.items()},
             "intervals": {name: [_json(low), _json(high)] for name, (low, high) in self.intervals.items()},
@@ -108,6 +111,7 @@ def trust(run: Run, accept: float | None = None, *, resamples: int = RESAMPLES, 
     return Trust(
         n=len(iou),
         n_rated=int(rated.sum()),
+        n_abstained=sum(record.status == "abstained" for record in run.records.values()),
         accept=accept_of(run) if accept is None else accept,
         values=dict(zip(MEASURES, _figures(table), strict=True)),
         intervals=_intervals(np.array([_figures(table[:, draw]) for draw in draws])),
