@@ -43,7 +43,9 @@ pytestmark = [
     # gradio 6.31 counts its own events with an option and an argument that pandas 3 deprecates.
     pytest.mark.filterwarnings("ignore:'future.no_silent_downcasting' is deprecated"),
     pytest.mark.filterwarnings("ignore:The copy keyword is deprecated"),
-    # It also leaves the file of an example open.
+    # It also leaves the file of an example open, and the socket pair of an event loop.
+    pytest.mark.filterwarnings("ignore:unclosed <socket.socket fd=[0-9]+, family=1, type=1:ResourceWarning"),
+    pytest.mark.filterwarnings("ignore:unclosed event loop:ResourceWarning"),
     pytest.mark.filterwarnings("ignore:unclosed file <_io.BufferedReader name='.*a4-uploads-:ResourceWarning"),
 ]
 
