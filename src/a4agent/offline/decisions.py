@@ -286,6 +286,9 @@ class _Decider(Situation):
                 f"{with_article(wish[0].name).capitalize()} would help: use the {part.name}.",
             )
         noun = candidates[0]
+        if noun.role == "tool" and noun.thing and verbs:  # nobody sweeps with a rake, but it would be with its head
+            part = next((p for p in noun.thing.parts if p.affords and "grasp" not in p.affords), noun.thing.parts[0])
+            return decision(noun, part, verbs[0].actions[0], used_for(verbs[0], noun, part))
         if not verbs and noun.thing and _SHUT & set(self.reading.words) and (part := self._part(noun.thing, "open")):
             return decision(noun, part, "open", f"To open the {noun.name}, use the {part.name}.")
         if not verbs and noun.thing and len(candidates) == 1 and not self._states:
@@ -378,7 +381,7 @@ class _Decider(Situation):
     def _guess(self) -> Decision | None:
         """ "open the hatch": what a thing of an unknown kind is usually handled by, for such a verb."""
         verbs = self.reading.verbs
-        nouns = [noun for noun in self.reading.nouns if noun.thing is None and noun.part is None]
+        nouns = [noun for noun in self.reading.nouns if noun.thing is None and (not noun.part or noun.role == "tool")]
         for verb in verbs:
             usual = self.know.usual_part.get(stem(verb.text)) or self.know.usual_part.get((verb.actions[0],))
             usual = usual or self._part_of_a_usual_tool(verb)

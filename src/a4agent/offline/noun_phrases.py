@@ -153,7 +153,7 @@ def _says_which_one(noun: Noun, role: Role) -> bool:
     """Whether a noun after a preposition only tells which thing is meant."""
     if role == "tool":
         return bool(noun.qualifiers) and noun.thing is None and noun.part is None and not noun.pronoun
-    if role == "owner" or noun.thing or noun.owner:
+    if noun.thing or noun.owner or (role == "owner" and not noun.pronoun):
         return False
     side = noun.pronoun or noun.text in {"side", "end", "corner", "hand side"}
     return (side and bool(noun.qualifiers) and role != "object") or (noun.text in QUALIFIERS and role != "object")

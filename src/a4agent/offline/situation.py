@@ -144,7 +144,12 @@ class Situation:
         for wish in self.know.wishes:
             if re.search(wish.says, self.reading.text):
                 thing = self.know.objects[wish.object]
-                asked = (a for verb in self.reading.verbs for a in verb.actions if a != wish.action and a in BY_HAND)
+                asked = (
+                    a
+                    for verb in self.reading.verbs
+                    for a in verb.actions
+                    if a not in (wish.action, "grasp") and a in BY_HAND
+                )
                 return thing, next((action for action in asked if thing.part_for(action)), wish.action)
         return None
 
