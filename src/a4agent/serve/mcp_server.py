@@ -23,11 +23,11 @@ import numpy as np
 from pydantic import Field
 
 from a4agent import __version__
+from a4agent.acting.lifting import Intrinsics, Lifted, lift
 from a4agent.agent import A4Agent
 from a4agent.errors import A4Error, ConfigError, InputError, require
 from a4agent.imaging.load import load_image, read_pixels
 from a4agent.imaging.masks import decode_rle
-from a4agent.interop.lift import Intrinsics, Lifted, lift
 from a4agent.serve.admission import CallerCheck, Limits, read_below, to_json
 from a4agent.serve.messages import to_wire
 from a4agent.stages.recorder import Recorder
