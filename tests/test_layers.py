@@ -25,6 +25,7 @@ def test_the_public_surface() -> None:
     assert sorted(a4agent.__all__) == [
         "A4Agent",
         "Affordance",
+        "Check",
         "Given",
         "Imagination",
         "Query",

@@ -14,12 +14,13 @@ if TYPE_CHECKING:
     from a4agent import errors
     from a4agent.agent import A4Agent
     from a4agent.imaging.load import load_image
-    from a4agent.types import Affordance, Given, Imagination, Query, Region, Target, Trace
+    from a4agent.types import Affordance, Check, Given, Imagination, Query, Region, Target, Trace
 
 __version__ = "0.1.0"
 __all__ = [
     "A4Agent",
     "Affordance",
+    "Check",
     "Given",
     "Imagination",
     "Query",
@@ -33,6 +34,7 @@ __all__ = [
 _HOME = {
     "A4Agent": "agent",
     "Affordance": "types",
+    "Check": "types",
     "Given": "types",
     "Imagination": "types",
     "Query": "types",

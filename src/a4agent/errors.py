@@ -1,26 +1,26 @@
-"""Everything that can go wrong, by whose move it is to put it right.
+"""All errors raised on purpose, grouped by who must act.
 
     A4Error
-    ├── UserError                 the caller can fix it: the message ends with how
-    │   ├── InputError            an image or an instruction that cannot be used
-    │   ├── ConfigError           a setting, profile or file of settings that does not fit
-    │   ├── UnknownNameError      a provider, profile or benchmark nobody registered (suggests the nearest)
+    ├── UserError                 the caller can fix it; the message ends with how
+    │   ├── InputError            an unusable image or instruction
+    │   ├── ConfigError           an invalid setting, profile or settings file
+    │   ├── UnknownNameError      an unregistered provider, profile or benchmark (suggests the nearest)
     │   ├── MissingExtraError     a library that an optional feature needs is not installed
-    │   ├── CredentialError       a key is missing, or the provider refuses it
-    │   ├── ModelFilesError       a checkpoint that is not there, not complete or not a checkpoint
-    │   ├── DataError             a dataset, predictions or run folder that cannot be read
+    │   ├── CredentialError       a key is missing or refused
+    │   ├── ModelFilesError       a checkpoint is missing, incomplete or damaged
+    │   ├── DataError             an unreadable dataset, predictions or run folder
     │   └── ResourceError         this machine lacks memory, file handles or a renderer
-    ├── AnswerError               a model answered, and the answer cannot be used
-    │   ├── UnreadableAnswer      not in the form that was asked for
+    ├── AnswerError               a model gave an unusable answer
+    │   ├── UnreadableAnswer      not in the requested form
     │   ├── TruncatedAnswer       cut off by the token limit
     │   └── RefusedAnswer         the model or its guard declined
     ├── ProviderError             the model could not be asked
-    │   ├── RateLimited           too many requests; `retry_after` seconds if the provider said
+    │   ├── RateLimited           too many requests; `retry_after` seconds if given
     │   ├── ProviderTimeout       no answer in time
     │   ├── ProviderUnavailable   5xx, a refused or broken connection
-    │   ├── OutOfMemory           this batch was too large; a smaller one may fit
-    │   └── RequestRejected       the provider will never accept this request
-    └── BudgetExceeded            the run was told to stop here (money or time)
+    │   ├── OutOfMemory           the batch was too large; a smaller one may fit
+    │   └── RequestRejected       the provider refuses this request for good
+    └── BudgetExceeded            a limit of money or time is reached
 
 Each class says whether the same call may succeed later (`retryable`) and whether every other
 sample would fail the same way (`fatal`: the engine stops the run at the first one).
@@ -50,7 +50,7 @@ class A4Error(Exception):
 
 
 class UserError(A4Error):
-    """Something the caller can put right."""
+    """Something the caller can fix."""
 
 
 class InputError(UserError):
@@ -58,7 +58,7 @@ class InputError(UserError):
 
 
 class ConfigError(UserError):
-    """A setting that does not fit."""
+    """An invalid setting."""
 
     fatal = True
 
@@ -108,7 +108,7 @@ class AnswerError(A4Error):
 
 
 class UnreadableAnswer(AnswerError):
-    """The answer is not in the form that was asked for."""
+    """The answer is not in the requested form."""
 
 
 class TruncatedAnswer(AnswerError):
@@ -124,7 +124,7 @@ class ProviderError(A4Error):
 
 
 class RateLimited(ProviderError):
-    """The provider asks to slow down. `retry_after` is in seconds, None if it did not say."""
+    """The provider asks to slow down. `retry_after` is in seconds, None if not given."""
 
     retryable = True
 
@@ -158,7 +158,7 @@ class BudgetExceeded(A4Error):
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
-    """The known name most like `name`, or None if nothing is near."""
+    """The known name most similar to `name`, or None."""
     found = difflib.get_close_matches(name, list(known), n=1, cutoff=0.55)
     return found[0] if found else None
 

@@ -1,4 +1,4 @@
-"""What a stage may ask of a model: four batched protocols and the requests and answers they trade.
+"""The four batched protocols that stages talk to models through, with their requests and answers.
 
     vlm.chat([ChatRequest(images=(photo,), text="Given the image ...")])      -> [ChatAnswer(text="### Thinking ...")]
     editor.edit([EditRequest(image=photo, prompt="Edit the input image ...")]) -> [EditAnswer(image=...)]
@@ -8,8 +8,8 @@
                                                         -> [Segmentation(masks=(1, 3, H, W), predicted_iou=(1, 3))]
 
 Every method takes a sequence and returns a list of the same length and order. An element of the
-answer may be an `A4Error` *instance* that concerns that request alone; a *raised* error concerns the
-whole batch. Experts are synchronous and need to be safe for `concurrency` calls at once. Images are
+answer may be an `A4Error` *instance*, which concerns that request alone; a *raised* error concerns the
+whole batch. Experts are synchronous and must be safe for `concurrency` calls at once. Images are
 RGB `PIL.Image`s; coordinates are pixels of the request's image (see `experts.coordinates`).
 """
 
@@ -50,7 +50,7 @@ class ChatRequest:
 
 @dataclass(frozen=True, eq=False)
 class ChatAnswer:
-    """`reasoning` is what the server kept apart from the text; `finish_reason` is "stop" or "length"."""
+    """`reasoning` is what the server returned beside the text; `finish_reason` is "stop" or "length"."""
 
     text: str
     reasoning: str = ""
@@ -125,7 +125,7 @@ AnswerT = TypeVar("AnswerT", ChatAnswer, EditAnswer, Detection, Segmentation)
 
 @runtime_checkable
 class Expert(Protocol):
-    """What every expert tells about itself."""
+    """What all experts have in common."""
 
     @property
     def id(self) -> str:
@@ -147,7 +147,7 @@ class Expert(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of memory, connections and threads. Safe to call twice."""
+        """Release memory, connections and threads. Safe to call twice."""
         ...
 
 
@@ -241,7 +241,7 @@ class Agent(Protocol):
 
 
 class ExpertBase:
-    """The bookkeeping most experts share. Subclass it or don't: stages look at the protocol only."""
+    """The bookkeeping that most experts share; optional, since stages use the protocol only."""
 
     def __init__(
         self,

@@ -6,9 +6,8 @@
     agent.predict(photo, "open the drawer")
     assert vlm.requests[0].text.startswith("Given the image")
 
-An answer that is an exception is raised when it is an ordinary one, and returned in its place in the
-batch when it is an `A4Error`. A queue that runs dry is an error that says so. `seconds` makes every
-call take that long, whatever its batch.
+An `A4Error` among the answers is returned in its place in the batch; any other exception is raised. Asking
+more often than there are answers is an error. `seconds` is how long each call takes.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ ScriptedAnswerT = TypeVar("ScriptedAnswerT")
 
 
 class Script(ExpertBase, Generic[RequestT, ScriptedAnswerT]):
-    """The shared half of the scripted experts. `requests` holds every request, `batches` their counts a call."""
+    """What the scripted experts share. `requests` holds every request, `batches` their counts a call."""
 
     def __init__(
         self,

@@ -1,7 +1,7 @@
-"""Pictures as bytes for the wire: the same picture gives the same bytes every time.
+"""Encode pictures for HTTP: the same picture always gives the same bytes.
 
 Servers reuse the part of a prompt that has not changed, images included, only if its bytes are equal; so
-the Dreamer's and the Thinker's view of one photo are encoded once and kept while the photo is in memory.
+each photo is encoded once and its bytes are kept while it is in memory.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class PictureEncoder:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What of it changes the bytes."""
+        """The settings that change the bytes."""
         lossy = {"quality": self.quality} if self.image_format == "jpeg" else {}
         return {"image_format": self.image_format, "max_side": self.max_side, **lossy}
 

@@ -1,10 +1,11 @@
-"""The prompt templates, one folder a set, as text files. `paper` is arXiv 2512.14442's, to the letter.
+"""The prompt templates as text files, one folder for each set. `paper` is arXiv 2512.14442's, verbatim.
 
     prompts/paper/dreamer.txt              (I, T) -> edit prompt
     prompts/paper/thinker.txt              (I, I_sim, T) -> the part
     prompts/paper/thinker_one_image.txt    (I, T) -> the part; only the sentences on the second image differ
+    prompts/verifier/review.txt            (overlay, crop, T, part) -> a review; the project's own
 
-A set may also be a folder of yours with files of the same names. Where a template holds `"TASK"`, the
+A set may also be a folder with files of the same names. Where a template holds `"TASK"`, the
 instruction takes the place of TASK; otherwise it follows at the end.
 """
 

@@ -1,1 +1,1 @@
-"""The stages of the agent: Dreamer (how), Thinker (what), Spotter (where)."""
+"""The stages of the agent: Dreamer (how), Thinker (what), Spotter (where), Verifier (whether)."""

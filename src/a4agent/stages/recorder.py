@@ -1,4 +1,4 @@
-"""Every model call leaves a step: a stage asks through a `Recorder`, which keeps what was asked and answered."""
+"""Stages ask models through a `Recorder`, which keeps a step for every call."""
 
 from __future__ import annotations
 
