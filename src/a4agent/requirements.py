@@ -196,7 +196,7 @@ EXTRAS: Mapping[str, Extra] = {
     "bench": Extra(("datasets", "pyarrow", "sklearn"), "300 MB"),
     "serve": Extra(("fastapi", "uvicorn", "multipart", "prometheus_client"), "10 MB"),
     "app": Extra(("gradio",), "250 MB"),
-    "mcp": Extra(("mcp",), "17 MB"),
+    "mcp": Extra(("mcp",), "21 MB"),
     "ray": Extra(("ray",), "240 MB"),
     "interop": Extra(("supervision",), "60 MB"),
     "rerun": Extra(("rerun",), "520 MB"),
