@@ -24,9 +24,9 @@ def test_every_module_is_public_or_named_private() -> None:
 
 
 def test_the_reference_names_only_what_exists() -> None:
-    assert PUBLIC - MODULES == set()
-    assert PRIVATE - MODULES - PACKAGES == set()
-    assert PUBLIC & PRIVATE == set()
+    assert set() == PUBLIC - MODULES
+    assert set() == PRIVATE - MODULES - PACKAGES
+    assert set() == PUBLIC & PRIVATE
 
 
 def test_top_level_names_come_from_public_modules() -> None:
