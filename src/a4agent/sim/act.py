@@ -1,0 +1,220 @@
+"""Does the answer let a robot act? Each sample is a trial: the answer's contact point drives a hand in physics.
+
+    {"id": "drawer-open-003", "task": "drawer-open", "seed": 3, "instruction": "Open the drawer.",
+     "image": "images/drawer-open-003.png", "depth": "depth/drawer-open-003.png", "part": "parts/drawer-open-003.png",
+     "thing": "things/drawer-open-003.png", "camera_matrix": [[...]], "camera_pose": [[...]]}
+
+Licence: Meta-World's assets and success tests, MIT (`act_tasks` says which). Where to get it: the set is rendered at
+first use and kept in the cache. There is no official scorer; masks are scored by `strict`, and the measures are
+
+    success         the environment's own test held at some step
+    success (ok)    the same over the answers with the status "ok": not abstained, failed or empty
+    coverage        the share of those answers
+    contact cm      from the contact to the nearest seen point of the true part
+    lost: part      failed, and there is no mask or the contact is not on the true part (within 1.5 cm)
+    lost: depth     failed, and there is a mask but no measured contact
+    lost: control   failed with a contact on the true part
+
+An abstained answer is acted on too: it counts in `success`, not in `success (ok)`. The option `contact` replaces what
+the hand is told: "answer" (the agent's mask), "object" (the whole thing), "random" (any measured pixel). The true part
+is `--oracle segmenter`.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from PIL import Image
+from pydantic import BaseModel, ValidationError
+
+from a4agent.acting.contact import contact_points
+from a4agent.acting.lifting import Intrinsics, back_project, read_depth
+from a4agent.benchmarks import files
+from a4agent.benchmarks.base import Benchmark, Sample, Truth
+from a4agent.errors import ConfigError, DataError
+from a4agent.sim.act_tasks import TASKS, ActTask
+from a4agent.sim.act_trial import Trial
+from a4agent.sim.benchmark import cache_folder
+from a4agent.types import Affordance, Query
+
+FORMAT = 1
+SEEDS = 20
+ON_PART = 0.015
+CONTACTS = 8
+"""Places on the mask that are tried until one has a measured depth."""
+SOURCE = "a4 bench sim-act"
+ContactSource = Literal["answer", "object", "random"]
+SOURCES: tuple[ContactSource, ...] = ("answer", "object", "random")
+BY_NAME = {task.name: task for task in TASKS}
+
+
+class TrialRow(BaseModel):
+    """A row of samples.jsonl."""
+
+    id: str
+    task: str
+    seed: int
+    instruction: str
+    image: str
+    depth: str
+    part: str
+    thing: str
+    camera_matrix: list[list[float]]
+    camera_pose: list[list[float]]
+
+
+def create(path: str | Path | None = None, *, seeds: int = SEEDS, contact: ContactSource = "answer") -> Benchmark:
+    """Open the set at `path`, or the cached one of `seeds` trials a task, which is rendered at first use.
+
+    Raises:
+        ConfigError: an option has an invalid value.
+        DataError: not a set that this version reads.
+        MissingExtraError: mujoco or metaworld's assets are not installed.
+    """
+    if contact not in SOURCES:
+        raise ConfigError(f"invalid contact {contact!r}; use one of {', '.join(SOURCES)}")
+    if seeds < 1:
+        raise ConfigError(f"invalid seeds {seeds!r}; use 1 or more trials a task")
+    root = files.folder(path or _default_set(seeds), "sim-act")
+    rows = _read_rows(root)
+    named = [name for row in rows for name in (row.image, row.depth, row.part, row.thing)]
+    return Benchmark(
+        name="sim-act",
+        licence="rendered from Meta-World's assets (MIT)",
+        source=SOURCE,
+        root=root,
+        size=len(rows),
+        sample=lambda i: _sample(root, rows[i]),
+        digest=files.digest([(root / "samples.jsonl").read_bytes(), *(files.sized(root, name) for name in named)]),
+        options={"contact": contact},
+        revision=f"format {FORMAT}",
+        measure=partial(_measure, root, {row.id: row for row in rows}, contact),
+    )
+
+
+def make_trials(out: Path, seeds: int = SEEDS, tasks: tuple[ActTask, ...] = TASKS) -> Path:
+    """Render `seeds` trials of each task into the new folder `out` and return it; the first of each task come first."""
+    for name in ("images", "depth", "parts", "things"):
+        (out / name).mkdir(parents=True, exist_ok=True)
+    lines = [json.dumps(_draw(out, task, seed)) for seed in range(seeds) for task in tasks]
+    (out / "samples.jsonl").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return out
+
+
+def _draw(out: Path, task: ActTask, seed: int) -> dict[str, Any]:
+    with Trial(task, seed) as trial:
+        view = trial.photograph()
+    stem = f"{task.name}-{seed:03d}"
+    row = TrialRow(
+        id=stem,
+        task=task.name,
+        seed=seed,
+        instruction=task.sentences[seed % len(task.sentences)],
+        image=f"images/{stem}.png",
+        depth=f"depth/{stem}.png",
+        part=f"parts/{stem}.png",
+        thing=f"things/{stem}.png",
+        camera_matrix=[[view.camera.fx, 0, view.camera.cx], [0, view.camera.fy, view.camera.cy], [0, 0, 1]],
+        camera_pose=view.pose.tolist(),
+    )
+    pictures = {
+        row.image: view.image,
+        row.depth: np.round(np.clip(view.depth, 0, 60) * 1000).astype(np.uint16),
+        row.part: view.part.astype(np.uint8) * 255,
+        row.thing: view.thing.astype(np.uint8) * 255,
+    }
+    for name, pixels in pictures.items():
+        Image.fromarray(pixels).save(out / name)
+    return row.model_dump()
+
+
+def _default_set(seeds: int) -> Path:
+    folder = cache_folder() / f"sim-act-v{FORMAT}-{seeds}"
+    if not (folder / "samples.jsonl").is_file():
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".making-") as making:
+            made = make_trials(Path(making) / "set", seeds)
+            try:
+                made.rename(folder)
+            except OSError:
+                if not (folder / "samples.jsonl").is_file():  # another process may have been faster
+                    raise
+    return folder
+
+
+def _read_rows(root: Path) -> list[TrialRow]:
+    rows: list[TrialRow] = []
+    for number, line in files.read_jsonl(root / "samples.jsonl"):
+        try:
+            row = TrialRow.model_validate(line)
+        except ValidationError as error:
+            wrong = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
+            raise DataError(f"line {number} of {str(root / 'samples.jsonl')!r}: {wrong}; {SOURCE}") from error
+        if row.task not in BY_NAME:
+            raise DataError(f"line {number} of {str(root / 'samples.jsonl')!r}: unknown task {row.task!r}; {SOURCE}")
+        rows.append(row)
+    return rows
+
+
+def _sample(root: Path, row: TrialRow) -> Sample:
+    task = BY_NAME[row.task]
+    truth = Truth(
+        load_mask=partial(files.read_mask_in, root, row.part),
+        object_name=task.object_name,
+        object_part=task.object_part,
+        affordance=task.name,
+        category=task.name,
+    )
+    return Sample(Query(row.id, files.confined(root, row.image), row.instruction), truth)
+
+
+def _measure(
+    root: Path, rows: dict[str, TrialRow], source: ContactSource, sample: Sample, affordance: Affordance
+) -> dict[str, float]:
+    row = rows[sample.id]
+    part = files.read_mask_in(root, row.part)
+    camera = Intrinsics.of(np.array(row.camera_matrix))
+    depth = read_depth(files.confined(root, row.depth), (part.shape[1], part.shape[0]))
+    point = _contact(root, row, source, affordance, depth, camera)
+    error, success = float("nan"), False
+    if point is not None:
+        rows_, columns = np.nonzero(part & np.isfinite(depth))
+        cloud = back_project(np.stack([columns, rows_], axis=1) + 0.5, depth[rows_, columns], camera)
+        error = float(np.linalg.norm(cloud - point, axis=1).min()) if len(cloud) else float("nan")
+        pose = np.array(row.camera_pose)
+        with Trial(BY_NAME[row.task], row.seed) as trial:
+            success = trial.act(pose[:3, :3] @ point + pose[:3, 3]).success
+    accepted = affordance.status == "ok"
+    masked = bool(affordance.mask.any()) or source != "answer"
+    on_part = point is not None and error <= ON_PART
+    return {
+        "success": float(success),
+        "success (ok)": float(success) if accepted else float("nan"),
+        "coverage": float(accepted),
+        "contact cm": 100 * error,
+        "lost: part": float(not success and not on_part and (point is not None or not masked)),
+        "lost: depth": float(not success and point is None and masked),
+        "lost: control": float(not success and on_part),
+    }
+
+
+def _contact(
+    root: Path, row: TrialRow, source: ContactSource, affordance: Affordance, depth: np.ndarray, camera: Intrinsics
+) -> np.ndarray | None:
+    """The point (3,) that the hand is told, in the camera's frame; None where there is none."""
+    if source == "random":
+        rng = np.random.default_rng([row.seed, *row.task.encode(), 1])
+        rows, columns = np.nonzero(np.isfinite(depth))
+        chosen = int(rng.integers(len(rows)))
+        xy = np.array([[columns[chosen] + 0.5, rows[chosen] + 0.5]])
+        return back_project(xy, depth[rows[[chosen]], columns[[chosen]]], camera)[0]
+    mask = files.read_mask_in(root, row.thing) if source == "object" else affordance.mask
+    if mask.shape != depth.shape or not mask.any():
+        return None
+    contacts = contact_points(mask, depth, camera, count=CONTACTS)
+    return next((contact.position_xyz for contact in contacts if contact.position_xyz is not None), None)

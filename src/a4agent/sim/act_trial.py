@@ -1,0 +1,223 @@
+"""One trial of a task: the scene, what a camera sees of it, and a robot hand that acts on a contact point.
+
+    with Trial(task, seed=3) as trial:
+        view = trial.photograph()                     # image, depth, camera, masks of the part and of the thing
+        outcome = trial.act(contact_xyz)              # in the world's frame
+        outcome.success, outcome.steps
+
+The hand is Meta-World's: Sawyer's gripper welded to a mocap body that moves at most a centimetre a step, five physics
+steps long (`SawyerXYZEnv`: action_scale 1/100, frame_skip 5, 500 steps), inside the same workspace. The controller
+knows the contact point and the task's waypoints; it reads no state of the scene but its own fingertips.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from a4agent.acting.lifting import Intrinsics
+from a4agent.errors import DataError
+from a4agent.sim.act_tasks import ActTask
+from a4agent.sim.assets import asset_path
+from a4agent.sim.backend import mujoco, renderer
+from a4agent.sim.things import built_in
+
+SIZE_WH = (640, 480)
+FOVY = 45.0
+FRAME_SKIP, MOST_STEPS, STEP, GAIN = 5, 500, 0.01, 10.0
+WORKSPACE = np.array([[-0.5, 0.4, 0.05], [0.5, 1.0, 0.5]])
+"""Where the hand may go: `hand_low` and `hand_high` of the environments."""
+REST = np.array([0.0, 0.45, 0.42])
+CLOSE_ENOUGH = 0.012
+PATIENCE = 25
+"""Steps without coming nearer after which a waypoint counts as reached: something is in the way."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What the camera sees: `image` (H, W, 3) uint8, `depth` (H, W) float32 metres, masks (H, W) bool.
+
+    `pose` (4, 4) is camera to world, in OpenCV's convention.
+    """
+
+    image: np.ndarray
+    depth: np.ndarray
+    camera: Intrinsics
+    pose: np.ndarray
+    part: np.ndarray
+    thing: np.ndarray
+
+    def to_world(self, point_xyz: np.ndarray) -> np.ndarray:
+        """A point (3,) of the camera's frame in the world's."""
+        return self.pose[:3, :3] @ point_xyz + self.pose[:3, 3]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Whether the environment's test held at any step, and after how many steps the trial ended."""
+
+    success: bool
+    steps: int
+
+
+class Trial:
+    """A task with its thing placed by a seed. Use it as a context manager, or call `close`."""
+
+    def __init__(self, task: ActTask, seed: int) -> None:
+        self.task = task
+        self._rng = np.random.default_rng([seed, *task.name.encode()])
+        path = asset_path(built_in(), "metaworld", f"sawyer_xyz/{task.model}")
+        self.model: Any = mujoco().MjModel.from_xml_path(str(path))
+        self.data: Any = mujoco().MjData(self.model)
+        self._free_weld()
+        self.at = self._rng.uniform(task.low, task.high)
+        self._arm = self._below("base")
+        self.reset()
+
+    def __enter__(self) -> Trial:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        del self.model, self.data
+
+    def reset(self) -> None:
+        """Put the thing in its place and the hand at rest."""
+        model, data = self.model, self.data
+        mujoco().mj_resetData(model, data)
+        model.body(self.task.thing).pos = self.at
+        self._move_hand(REST, -1.0, 50)
+        if self.task.model == "sawyer_coffee.xml":  # `reset_model` stands the mug below the spout
+            data.qpos[0:3] = self.at + np.array([0.0, -0.22, 0.0])
+        if self.task.start is not None:
+            data.qpos[self.task.joint] = self.task.start
+            data.qvel[self.task.joint] = 0
+        mujoco().mj_forward(model, data)
+
+    @property
+    def done(self) -> bool:
+        """The environment's own success test."""
+        return self.task.success(self.model, self.data, self.at)
+
+    def photograph(self) -> View:
+        """A picture from in front of the thing, as a camera on the robot's head sees it, without its own arm."""
+        self.model.vis.global_.fovy = FOVY
+        camera = mujoco().MjvCamera()
+        low, high = self._bounds()
+        camera.lookat[:] = (low + high) / 2 + self._rng.normal(0, 0.01, 3)
+        camera.distance = max(float(np.linalg.norm(high - low)), 0.25) * self._rng.uniform(1.9, 2.5)
+        camera.azimuth = 90 + self._rng.uniform(-30, 30)
+        camera.elevation = -self._rng.uniform(20, 40)
+        with renderer(self.model, SIZE_WH) as eye:
+            image = self._render(eye, camera)
+            eye.enable_depth_rendering()
+            depth = self._render(eye, camera).astype(np.float32)
+            eye.disable_depth_rendering()
+            eye.enable_segmentation_rendering()
+            ids = self._render(eye, camera)[..., 0]
+        thing = self._below(self.task.thing)
+        part = [geom for geom in thing if self._is_part(int(geom))]
+        if not part:
+            raise DataError(f"no geom of {self.task.model!r} matches the part {self.task.part!r} of {self.task.name!r}")
+        focal = SIZE_WH[1] / 2 / np.tan(np.radians(FOVY) / 2)
+        intrinsics = Intrinsics(focal, focal, (SIZE_WH[0] - 1) / 2, (SIZE_WH[1] - 1) / 2)
+        return View(image, depth, intrinsics, _pose(camera), np.isin(ids, part), np.isin(ids, thing))
+
+    def act(self, contact_xyz: np.ndarray) -> Outcome:
+        """Reach for the contact (3,) in the world's frame and follow the task's waypoints until it is done."""
+        steps = 0
+        for offset in self.task.waypoints:
+            target = np.clip(contact_xyz + np.array(offset), *WORKSPACE)
+            nearest, waited = np.inf, 0
+            while steps < MOST_STEPS:
+                away = target - self._fingertips()
+                distance = float(np.linalg.norm(away))
+                if distance < CLOSE_ENOUGH or waited > PATIENCE:
+                    break
+                nearest, waited = (distance, 0) if distance < nearest - 0.001 else (nearest, waited + 1)
+                self._step_hand(away)
+                steps += 1
+                if self.done:
+                    return Outcome(True, steps)
+        return Outcome(False, steps)
+
+    def _render(self, eye: Any, camera: Any) -> np.ndarray:
+        """A rendering without the arm: its geoms are moved to a group that is not drawn."""
+        groups = self.model.geom_group.copy()
+        self.model.geom_group[self._arm] = 5
+        eye.update_scene(self.data, camera, _options())
+        picture = np.array(eye.render())
+        self.model.geom_group[:] = groups
+        return picture
+
+    def _is_part(self, geom: int) -> bool:
+        """Whether a drawn geom is named in `part`: by its name, its mesh, or "body:material"."""
+        model = self.model
+        if model.geom_group[geom] > 2:
+            return False
+        names = {model.geom(geom).name}
+        if model.geom_type[geom] == mujoco().mjtGeom.mjGEOM_MESH:
+            names.add(model.mesh(model.geom_dataid[geom]).name)
+        body = model.body(model.geom_bodyid[geom]).name or self.task.thing
+        if model.geom_matid[geom] >= 0:
+            names.add(f"{body}:{model.mat(model.geom_matid[geom]).name}")
+        return bool(names & set(self.task.part))
+
+    def _below(self, body: str) -> np.ndarray:
+        """Ids of all geoms of a body and its children."""
+        model, root = self.model, self.model.body(body).id
+        inside = np.zeros(model.nbody, bool)
+        inside[root] = True
+        for child in range(root + 1, model.nbody):
+            inside[child] = inside[model.body_parentid[child]]
+        return np.flatnonzero(inside[model.geom_bodyid])
+
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        drawn = [geom for geom in self._below(self.task.thing) if self.model.geom_group[geom] <= 2]
+        centres = np.array([self.data.geom_xpos[geom] for geom in drawn])
+        radii = np.array([self.model.geom_rbound[geom] for geom in drawn])[:, None] * 0.7
+        return (centres - radii).min(0), (centres + radii).max(0)
+
+    def _fingertips(self) -> np.ndarray:
+        return (self.data.site("rightEndEffector").xpos + self.data.site("leftEndEffector").xpos) / 2
+
+    def _free_weld(self) -> None:
+        """`reset_mocap_welds`: the hand follows the mocap body itself, not a pose relative to it."""
+        model = self.model
+        for i in range(model.neq):
+            if model.eq_type[i] == mujoco().mjtEq.mjEQ_WELD:
+                model.eq_data[i, :11] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 5.0]
+
+    def _step_hand(self, away: np.ndarray) -> None:
+        move = np.clip(GAIN * away, -1, 1) * STEP
+        self._move_hand(np.clip(self.data.mocap_pos[0] + move, *WORKSPACE), 1.0, 1)
+
+    def _move_hand(self, position: np.ndarray, closed: float, steps: int) -> None:
+        for _ in range(steps):
+            self.data.mocap_pos[0] = position
+            self.data.mocap_quat[0] = [1, 0, 1, 0]
+            self.data.ctrl[:2] = [closed, -closed]
+            mujoco().mj_step(self.model, self.data, nstep=FRAME_SKIP)
+
+
+def _options() -> Any:
+    options = mujoco().MjvOption()
+    options.sitegroup[:] = 0
+    options.geomgroup[:] = [1, 1, 1, 0, 0, 0]
+    return options
+
+
+def _pose(camera: Any) -> np.ndarray:
+    """Camera to world (4, 4) of a free camera, in OpenCV's convention."""
+    azimuth, elevation = np.radians(camera.azimuth), np.radians(camera.elevation)
+    forward = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    right = np.cross(forward, [0, 0, 1])
+    right = right / np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    pose[:3, 3] = np.asarray(camera.lookat) - camera.distance * forward
+    return pose

@@ -1,0 +1,108 @@
+"""A small slice of sim-act: the true part succeeds, a point elsewhere does not, and a trial repeats exactly."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from a4agent.acting.contact import contact_points
+from a4agent.errors import A4Error, ConfigError, DataError
+from a4agent.sim.act import create, make_trials
+from a4agent.sim.act_tasks import TASKS, ActTask
+from a4agent.sim.act_trial import Trial
+from a4agent.types import Affordance, Region
+
+BY_NAME = {task.name: task for task in TASKS}
+FEW = (BY_NAME["drawer-open"], BY_NAME["button-press"])
+
+
+@pytest.fixture(scope="module")
+def trials(simulator: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_trials(tmp_path_factory.mktemp("act") / "set", seeds=1, tasks=FEW)
+
+
+def answer(mask: np.ndarray, status: str = "ok") -> Affordance:
+    height, width = mask.shape
+    regions = (Region(None, np.zeros((0, 2), np.float32), mask),) if mask.any() else ()
+    return Affordance("open", (width, height), regions=regions, status=status)  # pyright: ignore[reportArgumentType]
+
+
+def test_there_are_at_least_twelve_tasks_with_distinct_names() -> None:
+    assert len(BY_NAME) == len(TASKS) >= 12
+    assert all(task.sentences and task.part and task.waypoints for task in TASKS)
+
+
+@pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)
+def test_no_task_is_done_before_the_hand_moves(task: ActTask, simulator: None) -> None:
+    with Trial(task, 0) as trial:
+        assert not trial.done
+        assert (trial.at >= np.array(task.low)).all()
+        assert (trial.at <= np.array(task.high)).all()
+
+
+def test_the_picture_and_the_world_agree(simulator: None) -> None:
+    with Trial(BY_NAME["button-press"], 1) as trial:
+        view = trial.photograph()
+        contact = contact_points(view.part, view.depth.astype(np.float64), view.camera)[0]
+        assert contact.position_xyz is not None
+        centre = np.asarray(trial.data.geom("btnGeom").xpos)
+        assert np.linalg.norm(view.to_world(contact.position_xyz) - centre) < 0.04
+    assert view.part[~view.thing].sum() == 0
+    assert view.image.shape == (480, 640, 3)
+
+
+def test_the_true_part_succeeds_and_another_place_is_lost(trials: Path) -> None:
+    benchmark = create(trials)
+    assert len(benchmark) == 2
+    assert benchmark.measure is not None
+    for sample in benchmark:
+        truth = sample.truth.mask()
+        found = benchmark.measure(sample, answer(truth))
+        assert found["success"] == found["success (ok)"] == found["coverage"] == 1
+        assert found["contact cm"] == pytest.approx(0, abs=0.5)
+        assert found["lost: part"] == found["lost: depth"] == found["lost: control"] == 0
+        corner = np.zeros_like(truth)
+        corner[-60:, :60] = True
+        missed = benchmark.measure(sample, answer(corner, "abstained"))
+        assert missed["success"] == 0
+        assert np.isnan(missed["success (ok)"])
+        assert missed["coverage"] == 0
+        assert missed["lost: part"] == 1
+        assert missed["contact cm"] > 5
+
+
+def test_an_empty_answer_fails_without_a_contact(trials: Path) -> None:
+    benchmark = create(trials)
+    assert benchmark.measure is not None
+    sample = benchmark[0]
+    found = benchmark.measure(sample, answer(np.zeros_like(sample.truth.mask()), "empty"))
+    assert found["success"] == 0
+    assert np.isnan(found["contact cm"])
+    assert found["lost: part"] == 1
+
+
+def test_the_same_answer_acts_the_same_twice(trials: Path) -> None:
+    benchmark = create(trials, contact="random")
+    assert benchmark.measure is not None
+    sample = benchmark[1]
+    blank = answer(np.zeros_like(sample.truth.mask()), "empty")
+    first, second = benchmark.measure(sample, blank), benchmark.measure(sample, blank)
+    assert str(first) == str(second)
+
+
+def test_the_source_of_the_contact_is_part_of_the_fingerprint(trials: Path) -> None:
+    assert create(trials).fingerprint() != create(trials, contact="object").fingerprint()
+
+
+def test_wrong_options_and_rows_are_refused(trials: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="answer, object, random"):
+        create(trials, contact="nothing")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ConfigError, match="seeds"):
+        create(trials, seeds=0)
+    (tmp_path / "samples.jsonl").write_text('{"id": "a"}\n', encoding="utf-8")
+    with pytest.raises(DataError, match="line 1"):
+        create(tmp_path)
+    with pytest.raises(A4Error):
+        create(tmp_path / "absent")
