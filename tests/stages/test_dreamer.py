@@ -46,3 +46,11 @@ def test_without_a_usable_prompt_nothing_is_painted(answer: object, error: type[
     with pytest.raises(error):
         Dreamer(ScriptedVLM([answer]), editor).imagine(PHOTO, "x")
     assert not editor.requests
+
+
+def test_each_retry_has_a_seed_of_its_own() -> None:
+    editor = ScriptedEditor()
+    dreamer = Dreamer(ScriptedVLM(lambda request: "Edit it."), editor, seed=7)
+    for retry in range(3):
+        dreamer.imagine(PHOTO, "open it", retry=retry)
+    assert [request.seed for request in editor.requests] == [7, 8, 9]

@@ -64,3 +64,31 @@ def test_images_stay_out_of_the_trace() -> None:
     recorder = Recorder()
     recorder.ask("spotter", ScriptedDetector([Detection(np.ones((2, 4), np.float32))]), DetectRequest(PHOTO, "x"))
     assert recorder.trace.steps[0].answer == "2 boxes, 0 points"
+
+
+def test_answers_that_end_at_the_token_limit_are_marked() -> None:
+    recorder = Recorder()
+    vlm = ScriptedVLM([ChatAnswer("half an", finish_reason="length"), ChatAnswer("whole")])
+    detector = ScriptedDetector([Detection(cut_off=True), Detection()])
+    for _ in range(2):
+        recorder.ask("thinker", vlm, ChatRequest((PHOTO,), "well?"))
+    for _ in range(2):
+        recorder.ask("spotter", detector, DetectRequest(PHOTO, "x"))
+    recorder.ask("dreamer", ScriptedEditor(), EditRequest(PHOTO, "x"))
+    assert [step.cut_off for step in recorder.trace.steps] == [True, False, True, False, False]
+
+
+def test_an_edit_is_told_by_its_size() -> None:
+    recorder = Recorder()
+    recorder.ask("dreamer", ScriptedEditor(), EditRequest(PHOTO, "x"))
+    assert recorder.trace.steps[0].answer == "an image of 8 x 6"
+
+
+def test_an_unusable_answer_is_marked_once() -> None:
+    recorder = Recorder()
+    recorder.mark(ProviderError("before any call"))
+    assert recorder.trace.steps == ()
+    recorder.ask("dreamer", ScriptedVLM(["no"]), ChatRequest((PHOTO,), "well?"))
+    recorder.mark(RateLimited("first"))
+    recorder.mark(ProviderError("second"))
+    assert recorder.trace.steps[0].error == "RateLimited: first"

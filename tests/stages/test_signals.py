@@ -209,3 +209,17 @@ def test_a_stranger_adds_a_signal() -> None:
         assert value_of(signals.find("blue")().measure(evidence())) == 0.25
     finally:
         del signals.added["blue"]
+
+
+def test_scores_outside_0_to_1_are_clipped() -> None:
+    mask = np.ones((60, 80), bool)
+    for given, value in ((-3.0, 0.0), (1.7, 1.0), (0.4, 0.4)):
+        regions = (region(mask, score=given, predicted_iou=given),)
+        seen = Evidence(Affordance("x", (80, 60), regions=regions, image=PHOTO), evidence().spotter, Recorder())
+        assert value_of(Score().measure(seen)) == value_of(PredictedIou().measure(seen)) == pytest.approx(value)
+
+
+def test_a_box_without_a_mask_does_not_fit() -> None:
+    blank = region(np.zeros((60, 80), bool), box=[0, 0, 9, 9])
+    seen = Evidence(Affordance("x", (80, 60), regions=(blank,), image=PHOTO), evidence().spotter, Recorder())
+    assert {c.name: c.value for c in Geometry().measure(seen)}["mask_in_box"] == 0.0

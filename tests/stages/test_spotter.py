@@ -13,7 +13,7 @@ from a4agent.protocols import Segmentation
 from a4agent.stages.recorder import Recorder
 from a4agent.stages.spotter import Spotter
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter
-from a4agent.types import Detection
+from a4agent.types import Detection, Region
 
 PHOTO = Image.new("RGB", (64, 48), "grey")
 
@@ -170,3 +170,19 @@ def test_segmenting_again_keeps_boxes_and_points() -> None:
     (again,) = replace(spotter, segmenter=ScriptedSegmenter([half])).segment_again(PHOTO, regions, recorder, "verifier")
     assert (again.mask.sum(), again.points_xy.tolist()) == (50, [[3, 3]])
     assert recorder.trace.steps[0].stage == "verifier"
+
+
+def test_the_clean_detection_is_told() -> None:
+    heard: list[Detection] = []
+    detector = ScriptedDetector([found([[20, 20, 5, 5], [9, 9, 9, 9]], [[99, 99]])])
+    Spotter(detector, ScriptedSegmenter()).locate(PHOTO, "x", on_detection=heard.append)
+    (detection,) = heard
+    assert detection.boxes_xyxy.tolist() == [[5, 5, 20, 20]]
+    assert detection.points_xy.shape == (0, 2)
+
+
+def test_nothing_prompted_is_not_segmented_again() -> None:
+    segmenter = ScriptedSegmenter()
+    bare = Region(None, np.zeros((0, 2), np.float32), np.ones((48, 64), bool))
+    assert Spotter(ScriptedDetector(), segmenter).segment_again(PHOTO, [bare], Recorder()) == ()
+    assert not segmenter.requests

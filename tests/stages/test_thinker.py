@@ -75,3 +75,14 @@ def test_what_the_model_said_instead_is_quoted() -> None:
     unknown = "### Thinking\nI see no mug here.\n### Output\n{}"
     with pytest.raises(UnreadableAnswer, match=r"it said 'I see no mug here\.' \(object_name: "):
         Thinker(ScriptedVLM([unknown] * 3)).decide(PHOTO, "drink")
+
+
+def test_a_rejected_part_comes_back_with_the_reason() -> None:
+    vlm = ScriptedVLM([output("the rim"), output("the lid")])
+    thinker = Thinker(vlm)
+    thinker.decide(PHOTO, "drink")
+    assert thinker.decide(PHOTO, "drink", rejected=("the rim", "It is too hot.")).object_part == "the lid"
+    first, second = (request.text for request in vlm.requests)
+    assert second.startswith(first)
+    assert '"the rim"' in second[len(first) :]
+    assert "It is too hot." in second[len(first) :]

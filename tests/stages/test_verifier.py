@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from a4agent.config import VerifierSettings
 from a4agent.errors import BudgetExceeded, ConfigError, CredentialError, ProviderUnavailable
 from a4agent.stages.calibration import Calibration
 from a4agent.stages.review import Review
@@ -89,3 +90,10 @@ def test_a_mirror_costs_one_more_look() -> None:
     detector = ScriptedDetector()
     Verifier((Mirror(),)).check(ANSWER, Spotter(detector, ScriptedSegmenter()))
     assert len(detector.requests) == 1
+
+
+def test_the_defaults_are_those_of_the_settings() -> None:
+    settings, verifier = VerifierSettings(), Verifier(())
+    for name in ("accept", "retries", "prompts", "max_tokens"):
+        assert getattr(settings, name) == getattr(verifier, name)
+    assert settings.signals == ["geometry"]
