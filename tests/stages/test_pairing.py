@@ -96,6 +96,11 @@ def test_optimal_pairs_are_one_to_one_inside_and_as_many_as_can_be(boxes: np.nda
     assert len(taken) == most_pairs(boxes, points)
 
 
+def test_a_point_beside_a_tiny_box_is_not_inside_it() -> None:
+    tiny = np.array([[1e-12, 1e-12, 1e-10, 1e-10]])
+    assert pair_optimally(tiny, np.array([[0.0, 0.0]])) == [(0, []), (None, [0])]
+
+
 def most_pairs(boxes: np.ndarray, points: np.ndarray) -> int:
     """By trying every assignment."""
     inside = [[bool((b[:2] <= p).all() and (p <= b[2:]).all()) for p in points] for b in boxes]

@@ -132,7 +132,8 @@ def _from_centres(boxes: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np
     """Of n boxes and m points (n, m): which holds which, and the distances from the centres in half-sides."""
     centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2
     offset = np.abs(points[None] - centre[:, None]) / np.maximum(half[:, None], 1e-9)
-    return np.all(offset <= 1, axis=2), np.sqrt((offset**2).sum(2))
+    inside = np.all((points[None] >= boxes[:, None, :2]) & (points[None] <= boxes[:, None, 2:]), axis=2)
+    return inside, np.sqrt((offset**2).sum(2))
 
 
 def _all_boxes(count: int, points_of: Callable[[int], list[int]]) -> list[Pair]:
