@@ -63,6 +63,12 @@ def test_the_true_part_succeeds_and_another_place_is_lost(trials: Path) -> None:
         assert found["success"] == found["success (ok)"] == found["coverage"] == 1
         assert found["contact cm"] == pytest.approx(0, abs=0.5)
         assert found["lost: part"] == found["lost: depth"] == found["lost: control"] == 0
+        assert benchmark.frames is not None
+        strip = benchmark.frames(sample)
+        assert strip is not None
+        assert strip.size == (4 * 192, 144)
+        assert np.asarray(strip)[:, :192].std() > 5
+        assert benchmark.frames(sample) is None, "a strip is handed over once"
         corner = np.zeros_like(truth)
         corner[-60:, :60] = True
         missed = benchmark.measure(sample, answer(corner, "abstained"))

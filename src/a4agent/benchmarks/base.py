@@ -14,11 +14,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from a4agent.types import Affordance, Query
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +90,7 @@ class Benchmark:
     protocol: how it is scored by default; published_protocol: how its authors' code scores it.
     expected: the published number of samples, None if there is no such number.
     measure: further measures of one answer, by name, where the field has other ones than masks; means are printed.
+    frames: a strip of pictures of what an answer led to, asked for after `measure` of the same sample; None if none.
     """
 
     name: str
@@ -102,6 +106,7 @@ class Benchmark:
     published_protocol: str = "strict"
     expected: int | None = None
     measure: Callable[[Sample, Affordance], Mapping[str, float]] | None = field(default=None, repr=False)
+    frames: Callable[[Sample], Image | None] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return self.size

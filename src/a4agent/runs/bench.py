@@ -256,7 +256,8 @@ def row_of(
     if benchmark.measure:
         measures |= benchmark.measure(sample, affordance)
     imagined = affordance.imagination.image if affordance.imagination else None
-    pictures = {"original": affordance.image, "imagination": imagined}
+    frames = benchmark.frames(sample) if benchmark.frames else None
+    pictures = {"original": affordance.image, "imagination": imagined, "frames": frames}
     answer = replace(affordance, id=sample.id).to_dict()
     for region in answer["regions"]:
         region["score"] = _finite(region["score"])

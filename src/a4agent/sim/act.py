@@ -39,12 +39,14 @@ from a4agent.benchmarks.base import Benchmark, Sample, Truth
 from a4agent.errors import ConfigError, DataError
 from a4agent.sim.act_tasks import TASKS, ActTask
 from a4agent.sim.act_trial import Trial
+from a4agent.sim.backend import renderer
 from a4agent.sim.benchmark import cache_folder
 from a4agent.types import Affordance, Query
 
 FORMAT = 1
 SEEDS = 20
 ON_PART = 0.015
+FRAMES, FRAME_WH = 4, (192, 144)
 CONTACTS = 8
 """Places on the mask that are tried until one has a measured depth."""
 SOURCE = "a4 bench sim-act"
@@ -82,6 +84,7 @@ def create(path: str | Path | None = None, *, seeds: int = SEEDS, contact: Conta
         raise ConfigError(f"invalid seeds {seeds!r}; use 1 or more trials a task")
     root = files.folder(path or _default_set(seeds), "sim-act")
     rows = _read_rows(root)
+    scorer = TrialScorer(root, rows, contact)
     named = [name for row in rows for name in (row.image, row.depth, row.part, row.thing)]
     return Benchmark(
         name="sim-act",
@@ -93,7 +96,8 @@ def create(path: str | Path | None = None, *, seeds: int = SEEDS, contact: Conta
         digest=files.digest([(root / "samples.jsonl").read_bytes(), *(files.sized(root, name) for name in named)]),
         options={"contact": contact},
         revision=f"format {FORMAT}",
-        measure=partial(_measure, root, {row.id: row for row in rows}, contact),
+        measure=scorer.measure,
+        frames=lambda sample: scorer.strips.pop(sample.id, None),
     )
 
 
@@ -173,10 +177,32 @@ def _sample(root: Path, row: TrialRow) -> Sample:
     return Sample(Query(row.id, files.confined(root, row.image), row.instruction), truth)
 
 
-def _measure(
-    root: Path, rows: dict[str, TrialRow], source: ContactSource, sample: Sample, affordance: Affordance
-) -> dict[str, float]:
-    row = rows[sample.id]
+class TrialScorer:
+    """Acts on answers. `strips` holds the frames of each trial until they are asked for."""
+
+    def __init__(self, root: Path, rows: list[TrialRow], source: ContactSource) -> None:
+        self.root = root
+        self.rows = {row.id: row for row in rows}
+        self.source: ContactSource = source
+        self.strips: dict[str, Image.Image] = {}
+
+    def measure(self, sample: Sample, affordance: Affordance) -> dict[str, float]:
+        """What became of one answer, as the module says."""
+        return _measure(self, self.rows[sample.id], affordance)
+
+    def act(self, row: TrialRow, contact_xyz: np.ndarray) -> bool:
+        """Whether the trial succeeds with a contact (3,) in the world's frame; keeps its frames."""
+        frames: list[np.ndarray] = []
+        with Trial(BY_NAME[row.task], row.seed) as trial, renderer(trial.model, FRAME_WH) as eye:
+            frames.append(trial.frame(eye))
+            success = trial.act(contact_xyz, lambda: frames.append(trial.frame(eye))).success
+        chosen = np.linspace(0, len(frames) - 1, FRAMES).round().astype(int)
+        self.strips[row.id] = Image.fromarray(np.concatenate([frames[i] for i in chosen], axis=1))
+        return success
+
+
+def _measure(scorer: TrialScorer, row: TrialRow, affordance: Affordance) -> dict[str, float]:
+    root, source = scorer.root, scorer.source
     part = files.read_mask_in(root, row.part)
     camera = Intrinsics.of(np.array(row.camera_matrix))
     depth = read_depth(files.confined(root, row.depth), (part.shape[1], part.shape[0]))
@@ -187,8 +213,7 @@ def _measure(
         cloud = back_project(np.stack([columns, rows_], axis=1) + 0.5, depth[rows_, columns], camera)
         error = float(np.linalg.norm(cloud - point, axis=1).min()) if len(cloud) else float("nan")
         pose = np.array(row.camera_pose)
-        with Trial(BY_NAME[row.task], row.seed) as trial:
-            success = trial.act(pose[:3, :3] @ point + pose[:3, 3]).success
+        success = scorer.act(row, pose[:3, :3] @ point + pose[:3, 3])
     accepted = affordance.status == "ok"
     masked = bool(affordance.mask.any()) or source != "answer"
     on_part = point is not None and error <= ON_PART

@@ -12,6 +12,7 @@ knows the contact point and the task's waypoints; it reads no state of the scene
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
@@ -32,6 +33,7 @@ WORKSPACE = np.array([[-0.5, 0.4, 0.05], [0.5, 1.0, 0.5]])
 """Where the hand may go: `hand_low` and `hand_high` of the environments."""
 REST = np.array([0.0, 0.45, 0.42])
 CLOSE_ENOUGH = 0.012
+FRAME_EVERY = 12
 PATIENCE = 25
 """Steps without coming nearer after which a waypoint counts as reached: something is in the way."""
 
@@ -127,8 +129,17 @@ class Trial:
         intrinsics = Intrinsics(focal, focal, (SIZE_WH[0] - 1) / 2, (SIZE_WH[1] - 1) / 2)
         return View(image, depth, intrinsics, _pose(camera), np.isin(ids, part), np.isin(ids, thing))
 
-    def act(self, contact_xyz: np.ndarray) -> Outcome:
-        """Reach for the contact (3,) in the world's frame and follow the task's waypoints until it is done."""
+    def act(self, contact_xyz: np.ndarray, on_step: Callable[[], None] | None = None) -> Outcome:
+        """Reach for the contact (3,) in the world's frame and follow the task's waypoints until it is done.
+
+        `on_step` is called after every FRAME_EVERY steps and at the end, for pictures of what happens.
+        """
+        outcome = self._act(contact_xyz, on_step)
+        if on_step:
+            on_step()
+        return outcome
+
+    def _act(self, contact_xyz: np.ndarray, on_step: Callable[[], None] | None) -> Outcome:
         steps = 0
         for offset in self.task.waypoints:
             target = np.clip(contact_xyz + np.array(offset), *WORKSPACE)
@@ -141,9 +152,19 @@ class Trial:
                 nearest, waited = (distance, 0) if distance < nearest - 0.001 else (nearest, waited + 1)
                 self._step_hand(away)
                 steps += 1
+                if on_step and steps % FRAME_EVERY == 0:
+                    on_step()
                 if self.done:
                     return Outcome(True, steps)
         return Outcome(False, steps)
+
+    def frame(self, eye: Any) -> np.ndarray:
+        """A picture (H, W, 3) of the scene and the arm from the side, by an open renderer."""
+        camera = mujoco().MjvCamera()
+        camera.lookat[:] = [self.at[0], 0.75, 0.15]
+        camera.distance, camera.azimuth, camera.elevation = 1.3, 140, -25
+        eye.update_scene(self.data, camera, _options())
+        return np.array(eye.render())
 
     def _render(self, eye: Any, camera: Any) -> np.ndarray:
         """A rendering without the arm: its geoms are moved to a group that is not drawn."""

@@ -116,6 +116,12 @@ function show(place) {
   }
   pane(result, sample.part ? `found: ${sample.part}` : "found");
   const aspect = sample.view[0] / sample.view[1];
+  if (sample.frames) {
+    const image = new Image();
+    image.src = address(sample.frames);
+    image.alt = "what happened, in frames";
+    pane(image, "what happened");
+  }
   if (closeUp(sample, aspect)[2] < .6 * sample.view[0]) {
     const near = document.createElement("canvas");
     draw(near, sample, { aspect });
