@@ -238,7 +238,8 @@ def ray_worker(place: Workplace) -> Outcome:
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: drawn\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[a4agent.experts]\ndrawn = drawn:create\n")
     pools = "".join(f"[ray.{stage}]\nnum_cpus = 0.25\n" for stage in ("dreamer", "thinker", "spotter"))
-    profile = place.folder / "ray.toml"
+    profile = place.folder / "ray" / "drawn.toml"  # the name stands in every record
+    profile.parent.mkdir()
     profile.write_text(f"{killable.PROFILE.replace('SECONDS', str(SECONDS))}{pools}")
     for _ in range(3):
         run = place.new_run()
