@@ -85,10 +85,10 @@ def test_from_pull_to_list_to_verify_to_repair(a4, hub):
     rows = {row["name"]: row for row in json.loads(a4("list", "small", "--json").stdout)}
     assert rows[TINY]["commit"] == COMMIT
     assert rows[TINY]["roles"] == ["spotter.segmenter"]
-    assert rows["IDEA-Research/grounding-dino-tiny"]["path"] is None
+    assert rows["Qwen/Qwen3-VL-2B-Instruct"]["path"] is None
     shown = a4("list", "--profile", "small").stdout
     assert f'revision = "{COMMIT}"' in shown
-    assert "a4 models pull Qwen/Qwen3-VL-2B-Instruct IDEA-Research/grounding-dino-tiny" in shown
+    assert "a4 models pull Qwen/Qwen3-VL-2B-Instruct" in shown
     assert a4("verify", "sam2:tiny").returncode == 0
     assert len(hub.asked) == before  # what is on this disk is not asked for
 
@@ -188,9 +188,9 @@ def test_what_another_program_began_is_fetched_whole(a4, hub):
 
 def test_the_advice_fetches_a_lora_alone_and_the_pinned_revision(capsys):
     lightning = ("--set", "dreamer.editor.lightning=4", "--set", "spotter.segmenter.revision=v2")
-    _, shown, _ = here(capsys, "list", "modern", *lightning)
+    _, shown, _ = here(capsys, "list", "paper-open", *lightning)
     advice = next(line for line in shown.splitlines() if "a4 models pull" in line)
-    assert "lightx2v/Qwen-Image-Edit-2511-Lightning/Qwen-Image-Edit-2511-Lightning-4steps" in advice
+    assert "lightx2v/Qwen-Image-Lightning/Qwen-Image-Edit-2509" in advice
     assert advice.endswith("facebook/sam2.1-hiera-large@v2")
 
 
