@@ -296,7 +296,8 @@ def test_the_first_interrupt_lets_what_was_begun_end(settings: Settings, queries
     assert isinstance(stopped, KeyboardInterrupt)
     assert len(done) < len(queries)
     asked = calls(tmp_path)
-    assert asked.count("editor:e") == sum(any(s.role == "editor" for s in answer.trace.steps) for answer in done)
+    kept = sum(any(s.role == "editor" for s in answer.trace.steps) for answer in done)
+    assert kept <= asked.count("editor:e") <= kept + 1  # a call may reach its actor as the signal comes
     assert asked.count("segmenter:s") == sum(answer.status == "ok" for answer in done)
 
 
