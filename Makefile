@@ -26,7 +26,7 @@ check:
 	$(BIN)/ruff format --check -q src tests perf
 	$(BIN)/pyright
 	$(BIN)/lint-imports --no-cache
-	$(BIN)/python -m pytest -rs
+	$(BIN)/python -m pytest -rs -n 2 --dist loadfile
 
 docs: .venv/.test
 	$(BIN)/mkdocs build --strict -q

@@ -68,14 +68,15 @@ def test_what_is_no_video_is_one_clear_error(
 
 
 def test_the_overlay_shows_the_mask_and_takes_odd_sizes(tmp_path: Path) -> None:
-    mask = np.zeros((49, 65), bool)
-    mask[10:30, 10:30] = True
+    mask = np.zeros((241, 321), bool)
+    mask[120:200, 120:200] = True  # away from the label in the corner, and wide for a codec of 16-pixel blocks
     video = OverlayVideo(tmp_path / "a.mp4", 5.0)
-    video.write(Image.new("RGB", (65, 49), "black"), mask, "the handle", True)
+    video.write(Image.new("RGB", (321, 241), "black"), mask, "the handle", True)
     video.close()
     with open_frames(tmp_path / "a.mp4") as frames:
         ((_, picture),) = frames
     pixels = np.asarray(picture).astype(int)
-    assert picture.size == (64, 48)
-    assert pixels[20, 20, 0] > 80
-    assert pixels[40, 40].max() < 40
+    assert picture.size == (320, 240)
+    inside, outside = pixels[140:180, 140:180].mean((0, 1)), pixels[220:, 240:].mean((0, 1))
+    assert inside[0] > 60 + inside[1]  # the tint is red
+    assert outside.max() < 40
