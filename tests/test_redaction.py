@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import http.client
+import itertools
 import json
 import logging
 import pickle
@@ -192,9 +193,11 @@ def test_ten_planted_secrets_are_in_nothing_that_is_written(
     from a4agent.serve import http_server
     from a4agent.serve.api import create_app
 
+    number = itertools.count()
+
     def reply(call: Call) -> Reply:
         echoed = f"{call.headers.get('authorization', '')} {json.dumps(call.json)[-300:]}"
-        if len(openai_server.calls) % 3 == 1:
+        if next(number) % 3 == 0:
             return error(400, f"what is this: {echoed}")
         return chat(f'I see {echoed}.\n### Output\n{{"task": "t", "object_name": "o", "object_part": "part"}}')
 
