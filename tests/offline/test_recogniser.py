@@ -120,3 +120,8 @@ def test_the_profile_accepts_what_is_there_and_abstains_from_what_is_not() -> No
     assert [answer.status for answer in absent] == ["abstained"] * 2
     assert all(answer.mask.any() and answer.confidence is not None and answer.confidence < 0.3 for answer in absent)
     assert (cautious.status, cautious.confidence) == ("abstained", there.confidence)
+
+
+def test_weights_are_widened_once_and_not_in_every_run() -> None:
+    options = recogniser._session().get_session_options()
+    assert options.get_session_config_entry("session.disable_quant_qdq") == "1"
