@@ -112,7 +112,7 @@ def test_a_revision_and_a_file_are_part_of_how_a_model_is_called():
 def test_the_terms_are_said_in_one_line():
     assert requirements.need("facebook/sam3").terms.startswith("about 3.4 GB, SAM License, gated")
     assert "non-commercial" in requirements.need("IDEA-Research/Rex-Omni").terms
-    assert requirements.need("owner/unknown").terms == "see the model's page"
+    assert requirements.need("owner/unknown").terms == "licence unknown here: see the model's page"
 
 
 def test_a_stranger_can_say_what_it_needs(monkeypatch):
@@ -136,3 +136,9 @@ def test_every_model_of_every_profile_is_in_the_catalogue():
             assert need.name in requirements.catalogue(), f"{profile}: {need.name}"
             assert need.info.gigabytes
             assert need.info.licence
+
+
+def test_every_licence_is_named_or_said_not_to_be_stated():
+    licences = [model.licence for model in requirements.catalogue().values()]
+    licences += [licence for name in profile_names() for licence in load_settings(name).profile.licences]
+    assert [licence for licence in licences if "page" in licence or not licence] == []

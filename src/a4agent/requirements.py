@@ -44,7 +44,7 @@ class Model:
 
     name: str
     gigabytes: float | None = None
-    licence: str = "see the model's page"
+    licence: str = "licence unknown here: see the model's page"
     gated: bool = False
     commercial: bool = True
     note: str = ""
