@@ -18,7 +18,10 @@ from typing import Any
 from PIL import Image
 
 from a4agent import A4Agent
-from a4agent.stages.verifier import Verifier
+from a4agent.stages.recorder import Recorder
+from a4agent.stages.spotter import Spotter
+from a4agent.stages.verifier import Verdict, Verifier
+from a4agent.types import Affordance
 
 COFFEE = Path(__file__).parents[1] / "examples" / "coffee.jpg"
 
@@ -28,10 +31,10 @@ def measure(agent: A4Agent, pictures: list[Image.Image], instruction: str) -> li
     taken: list[float] = []
     check = Verifier.check
 
-    def timed(self: Verifier, *args: Any) -> Any:
+    def timed(self: Verifier, affordance: Affordance, spotter: Spotter, recorder: Recorder | None = None) -> Verdict:
         started = time.perf_counter()
         try:
-            return check(self, *args)
+            return check(self, affordance, spotter, recorder)
         finally:
             taken.append(time.perf_counter() - started)
 
