@@ -142,3 +142,10 @@ def test_every_licence_is_named_or_said_not_to_be_stated():
     licences = [model.licence for model in requirements.catalogue().values()]
     licences += [licence for name in profile_names() for licence in load_settings(name).profile.licences]
     assert [licence for licence in licences if "page" in licence or not licence] == []
+
+
+def test_a_model_that_brings_code_says_so_before_it_is_fetched():
+    need = requirements.need("tiiuae/Falcon-Perception")
+    assert "Python code that runs with trust_remote_code = true" in need.terms
+    assert "*.py" in hub.patterns("tiiuae/Falcon-Perception")
+    assert "*.py" not in hub.patterns("facebook/sam3")

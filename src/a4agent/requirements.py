@@ -40,13 +40,17 @@ class Spec(Protocol):
 
 @dataclass(frozen=True)
 class Model:
-    """What the catalogue knows of a checkpoint: about how many 10^9 bytes, under which licence."""
+    """What the catalogue knows of a checkpoint: about how many 10^9 bytes, under which licence.
+
+    `code`: its repository holds Python code, which is fetched with it and runs only with `trust_remote_code = true`.
+    """
 
     name: str
     gigabytes: float | None = None
     licence: str = "licence unknown here: see the model's page"
     gated: bool = False
     commercial: bool = True
+    code: bool = False
     note: str = ""
 
 
@@ -66,8 +70,9 @@ class Need:
         """What to know before fetching it: "about 3.4 GB, SAM License, gated: ..."."""
         size = "" if self.info.gigabytes is None else f"about {self.info.gigabytes:g} GB"
         closed = "" if self.info.commercial else "non-commercial"
+        code = "brings Python code that runs with trust_remote_code = true" if self.info.code else ""
         gated = "gated: accept its licence on the model's page" if self.info.gated else ""
-        return ", ".join(filter(None, (size, self.info.licence, closed, gated, self.info.note)))
+        return ", ".join(filter(None, (size, self.info.licence, closed, code, gated, self.info.note)))
 
     @property
     def is_folder(self) -> bool:

@@ -163,6 +163,7 @@ def _as_dict(need: Need) -> dict[str, Any]:
         "licence": need.info.licence,
         "gated": need.info.gated,
         "commercial": need.info.commercial,
+        "code": need.info.code,
         "revision": need.revision,
         "path": str(need.path) if need.path else None,
         "commit": need.commit or None,

@@ -23,7 +23,7 @@ from a4agent.experts.intact import missing_files
 from a4agent.files import read_package_toml
 
 PATTERNS = ["*.json", "*.safetensors", "*.txt", "*.jinja", "*.model"]
-"""The files of a repository that loading needs; no pickled weights, no code."""
+"""The files of a repository that loading needs; no pickled weights, and no code but that of `code = true`."""
 
 _PROBE_SECONDS = 10.0
 _ATTEMPTS, _PAUSE_SECONDS = 3, 1.0
@@ -48,6 +48,12 @@ def reference(name: str, revision: str | None = None, file: str = "") -> str:
     return "/".join(filter(None, (name, file))) + (f"@{revision}" if revision else "")
 
 
+def patterns(name: str) -> list[str]:
+    """PATTERNS, and "*.py" for a model that models.toml marks with `code = true`: its architecture is in there."""
+    rows: list[dict[str, Any]] = read_package_toml("a4agent.experts", "models.toml")["model"]
+    return [*PATTERNS, "*.py"] if any(row["name"] == name and row.get("code") for row in rows) else PATTERNS
+
+
 def cached(name: str, revision: str | None = None, file: str = "") -> Path | None:
     """The complete snapshot of OWNER/NAME on this disk, or one file of it; None if it is not there. No network.
 
@@ -61,7 +67,7 @@ def cached(name: str, revision: str | None = None, file: str = "") -> Path | Non
         if file:
             found = hub.try_to_load_from_cache(name, file, revision=revision)
             return Path(found) if isinstance(found, str) else None
-        folder = hub.snapshot_download(name, revision=revision, allow_patterns=PATTERNS, local_files_only=True)
+        folder = hub.snapshot_download(name, revision=revision, allow_patterns=patterns(name), local_files_only=True)
     except errors.LocalEntryNotFoundError:
         return None
     except errors.HFValidationError as error:
@@ -100,7 +106,7 @@ def fetch(name: str, revision: str | None = None, file: str = "") -> Path:
             with _explained(name, revision, file):
                 if file:
                     return Path(hub.hf_hub_download(name, file, revision=revision))
-                return Path(hub.snapshot_download(name, revision=revision, allow_patterns=PATTERNS))
+                return Path(hub.snapshot_download(name, revision=revision, allow_patterns=patterns(name)))
         except ModelFilesError as error:
             if not attempts_left or not _may_pass(error.__cause__):
                 raise
@@ -120,7 +126,7 @@ def download_bytes(name: str, revision: str | None = None, file: str = "") -> in
         if file:
             plans = [hub.hf_hub_download(name, file, revision=revision, dry_run=True)]
         else:
-            plans = hub.snapshot_download(name, revision=revision, allow_patterns=PATTERNS, dry_run=True)
+            plans = hub.snapshot_download(name, revision=revision, allow_patterns=patterns(name), dry_run=True)
     return sum(int(plan.file_size) for plan in plans if plan.will_download)
 
 

@@ -148,18 +148,27 @@ def _applicable(shrinking: Sequence[str], placement: Placement) -> list[str]:
     return [way for way in shrinking if way != QUANTISE or placement.quantisation != "4bit"]
 
 
-def load_pretrained(cls: Any, checkpoint: Checkpoint, placement: Placement, shrinking: Sequence[str] = ()) -> Any:
+def load_pretrained(
+    cls: Any,
+    checkpoint: Checkpoint,
+    placement: Placement,
+    shrinking: Sequence[str] = (),
+    trust_remote_code: bool = False,
+) -> Any:
     """`cls.from_pretrained` of a checkpoint's folder, on its device and ready to answer.
 
-    `shrinking` names the expert's settings with which it needs less memory.
+    `shrinking` names the expert's settings with which it needs less memory. `trust_remote_code` runs code that lies in
+    the folder.
 
     Raises:
         ResourceError: the weights do not fit the device.
         ModelFilesError: the files are damaged or belong to another architecture.
-        ConfigError: the attention or quantisation asked for is not available.
+        ConfigError: the attention or quantisation asked for is not available, or a package that it needs.
     """
     check_fits(checkpoint.folder, placement, shrinking=shrinking)
     options = _from_pretrained_options(placement)
+    if trust_remote_code:
+        options["trust_remote_code"] = True
     try:
         with _quiet_transformers():
             model, found = cls.from_pretrained(
@@ -170,8 +179,10 @@ def load_pretrained(cls: Any, checkpoint: Checkpoint, placement: Placement, shri
     except Exception as error:
         if is_out_of_memory(error):
             raise ResourceError(f"{str(checkpoint.folder)!r} does not fit {placement.device!r}: {error}") from error
-        if isinstance(error, ImportError) or "attn_implementation" in str(error):
+        if "attn_implementation" in str(error) or (isinstance(error, ImportError) and placement.attention != "auto"):
             raise ConfigError(f"attention {placement.attention!r} cannot be used: {error}") from error
+        if isinstance(error, ImportError):
+            raise ConfigError(f"{str(checkpoint.folder)!r} needs a package that is not installed: {error}") from error
         raise ModelFilesError(f"{str(checkpoint.folder)!r} cannot be loaded as {cls.__name__}: {error}") from error
     _check_nothing_invented(checkpoint, model, found)
     return model.eval()

@@ -25,7 +25,7 @@ from a4agent.experts.intact import missing_files
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
 _BLOCK, _BLOCKS = 4096, 16
 _WEIGHTS = (".safetensors", ".bin")
-_READ = (*_WEIGHTS, ".json", ".txt", ".jinja", ".model")
+_READ = (*_WEIGHTS, ".json", ".txt", ".jinja", ".model", ".py")
 
 
 @dataclass(frozen=True)
