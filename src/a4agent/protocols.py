@@ -214,6 +214,15 @@ class Charges(Protocol):
     def price_known(self) -> bool: ...
 
 
+@runtime_checkable
+class Repeats(Protocol):
+    """An expert that repeats failed calls by itself, with waits that nobody can end."""
+
+    def without_retries(self) -> Expert:
+        """The same expert, which makes each call once; it is usable until the original is closed."""
+        ...
+
+
 class Agent(Protocol):
     """What the engine needs of an agent; `a4agent.agent.A4Agent` is the one that ships."""
 

@@ -19,7 +19,18 @@ from a4agent.engine.dispatch import Dispatcher, QueuedRequest, RunStopped
 from a4agent.engine.retry import Breaker, backoff, fresh
 from a4agent.engine.stats import Stats
 from a4agent.errors import A4Error, BudgetExceeded, ConfigError, ProviderError
-from a4agent.protocols import VERBS, Agent, Answer, Charges, ChatRequest, Expert, Request, SegmentRequest, with_usage
+from a4agent.protocols import (
+    VERBS,
+    Agent,
+    Answer,
+    Charges,
+    ChatRequest,
+    Expert,
+    Repeats,
+    Request,
+    SegmentRequest,
+    with_usage,
+)
 from a4agent.redaction import redact
 from a4agent.types import Affordance, Given, Query, Trace
 
@@ -139,7 +150,9 @@ class QueuedExpert:
         self.concurrency = expert.concurrency
         self.stats = session.stats.of(_role(expert), expert.id)
         breaker = Breaker(expert.id, settings.retry_wait * 2, settings.outage_seconds)
-        self.dispatcher = Dispatcher(expert, breaker, self.stats, settings.batch_wait_ms / 1000)
+        # The engine repeats calls itself: a stop can end its waits, and they hold up no other sample.
+        once = expert.without_retries() if isinstance(expert, Repeats) else expert
+        self.dispatcher = Dispatcher(once, breaker, self.stats, settings.batch_wait_ms / 1000)
         self._session = session
         for verb in VERBS.values():
             if hasattr(expert, verb):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, cast
@@ -49,6 +50,12 @@ class RemoteExpert(ExpertBase):
 
     def close(self) -> None:
         self._connection.close()
+
+    def without_retries(self) -> RemoteExpert:
+        """The same expert, which makes each call once."""
+        twin = copy.copy(self)
+        twin._connection = self._connection.without_retries()
+        return twin
 
     def shutdown_date(self) -> str:
         """The day from which the model is no longer served, as its server announces or its vendor did; "" if none."""

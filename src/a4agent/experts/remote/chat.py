@@ -66,7 +66,8 @@ def create(
         quality: of JPEG.
         text_first: send the text before the images; servers then reuse less of what they read before.
         timeout: seconds without a byte until a call counts as failed.
-        max_retries: repeats inside one call (408, 409, 429, 5xx, broken connections), honouring Retry-After.
+        max_retries: repeats inside one call (408, 409, 429, 5xx, broken connections), honouring Retry-After. In a run
+            the engine repeats calls instead.
         concurrency: calls that may be in flight at once.
         price: US dollars per million tokens, as {"input": 2.5, "output": 10.0}; overrides the table.
         extra: fields added to every request as they are, such as {"top_k": 1}.

@@ -9,6 +9,7 @@ comes out as an error of `a4agent.errors` that names the server, the model and w
 
 from __future__ import annotations
 
+import copy
 import email.utils
 import json
 import math
@@ -149,7 +150,7 @@ class Connection:
         """
         start = time.perf_counter()
         try:
-            raw = send(self._connected())
+            raw = send(self._connected().with_options(max_retries=self._max_retries))
             parsed = raw.parse()
         except (self._openai.OpenAIError, *_NOT_JSON) as error:
             raise self._explain(error) from error
@@ -178,6 +179,13 @@ class Connection:
         except (self._openai.OpenAIError, *_NOT_JSON, AttributeError, TypeError):
             return ""
 
+    def without_retries(self) -> Connection:
+        """The same connection, whose calls are made once; it ends when this one is closed."""
+        self._connected()
+        twin = copy.copy(self)
+        twin._max_retries = 0
+        return twin
+
     def close(self) -> None:
         with self._lock:
             client, self._client = self._client, None
@@ -194,7 +202,6 @@ class Connection:
                     api_key=self._key.reveal(),
                     base_url=self.base_url,
                     timeout=self._timeout,
-                    max_retries=self._max_retries,
                 )
             return self._client
 
