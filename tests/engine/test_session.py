@@ -224,15 +224,18 @@ def test_an_expert_that_stays_down_stops_the_run(queries: Queries) -> None:
 
 
 def test_an_outage_is_not_held_against_a_sample_that_failed_before() -> None:
-    """With one retry, a failure of the probing calls would end a sample if it counted."""
+    """With one retry, a failure of the probing calls would end a sample if it counted.
+
+    The first sixteen calls fail before any is repeated, and ten failures open the breaker.
+    """
 
     def down_for_a_while(request: DetectRequest) -> Any:
-        return [[0, 0, 4, 4]] if len(detector.requests) > 20 else ProviderUnavailable("connection refused")
+        return [[0, 0, 4, 4]] if len(detector.requests) > 18 else ProviderUnavailable("connection refused")
 
     detector = ScriptedDetector(down_for_a_while, concurrency=16)
     agent = A4Agent(None, None, Spotter(detector, ScriptedSegmenter()))
     queries = [Query(str(number), Image.new("RGB", (8, 8)), f"open {number}") for number in range(16)]
-    answers = by_id(agent, iter(queries), settings=EngineSettings(retry_wait=0.01, retries=1, in_flight=16))
+    answers = by_id(agent, iter(queries), settings=EngineSettings(retry_wait=0.15, retries=1, in_flight=16))
     assert {a.status for a in answers.values()} == {"ok"}
 
 
