@@ -310,6 +310,51 @@ def save_qwen_image_edit(folder: Path, *, transformer: Any = None, vae: Any = No
     return folder
 
 
+def save_qwen_image_21(folder: Path, *, seed: int = 0) -> Path:
+    """A Qwen-Image 2.1 pipeline: a tiny Qwen3-VL, one block, a small VAE whose pictures have four channels."""
+    torch: Any = require("torch", extra="local")
+    d: Any = require("diffusers", extra="local")
+    t: Any = require("transformers", extra="local")
+    text_encoder = save_qwen3_vl(folder / "text_encoder", seed=seed)
+    (folder / "processor").mkdir(parents=True, exist_ok=True)
+    for file in text_encoder.iterdir():
+        if not file.name.startswith(("model", "config", "generation")):
+            (folder / "processor" / file.name).write_bytes(file.read_bytes())
+    # The text encoder must see as many patches as the VAE, so nothing may be scaled down on the way to it.
+    t.Qwen2VLImageProcessorPil(max_pixels=2048 * 2048, patch_size=16).save_pretrained(folder / "processor")
+    torch.manual_seed(seed)
+    latents = 4
+    parts: dict[str, Any] = {
+        "transformer": d.QwenImage21Transformer2DModel(
+            in_channels=latents,
+            out_channels=latents,
+            num_layers=1,
+            attention_head_dim=16,
+            num_attention_heads=2,
+            context_in_dim=64,
+            axes_dims_rope=(4, 6, 6),
+        ),
+        "vae": d.AutoencoderKLQwenImage21(
+            base_dim=4,
+            decoder_base_dim=4,
+            z_dim=latents,
+            dim_mult=[1, 1, 1, 1, 1],
+            num_res_blocks=1,
+            latents_mean=[0.0] * latents,
+            latents_std=[1.0] * latents,
+        ),
+        "scheduler": d.FlowMatchEulerDiscreteScheduler(use_dynamic_shifting=True),
+    }
+    index = {"_class_name": "QwenImage21Pipeline", "_diffusers_version": d.__version__}
+    index |= {name: ["diffusers", type(part).__name__] for name, part in parts.items()}
+    index["text_encoder"] = ["transformers", "Qwen3VLForConditionalGeneration"]
+    index["processor"] = ["transformers", "Qwen3VLProcessor"]
+    for name, part in parts.items():
+        part.save_pretrained(folder / name)
+    (folder / "model_index.json").write_text(json.dumps(index), "utf-8")
+    return folder
+
+
 def save_flux2_klein(folder: Path, *, seed: int = 0) -> Path:
     """A FLUX.2 klein pipeline: a Qwen3 of 28 narrow layers (three are read), 2 blocks, a small VAE."""
     torch: Any = require("torch", extra="local")

@@ -55,6 +55,7 @@ tiny_mm_grounding_dino = _fixture("grounding_dino", mm=True)
 tiny_owlv2 = _fixture("owlv2")
 tiny_qwen_image_edit = _fixture("qwen_image_edit")
 tiny_flux2_klein = _fixture("flux2_klein")
+tiny_qwen_image_21 = _fixture("qwen_image_21")
 
 
 SMALL_MEMORY = {

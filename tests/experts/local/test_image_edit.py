@@ -249,6 +249,21 @@ def test_flux2_klein_edits_in_four_steps(tiny_flux2_klein, noise):
     assert editor.fingerprint()["settings"]["guidance_scale"] == 1.0
 
 
+def test_qwen_image_2_1_edits_without_guidance(tiny_qwen_image_21, noise):
+    editor = qwen_image_edit.create(str(tiny_qwen_image_21), "editor", steps=2, output_pixels=64 * 64)
+    requests = [EditRequest(noise(96, 64), "Show a hand.", seed=seed) for seed in (3, 3, 4)]
+    first, again, other = (answer.image for answer in editor.edit(requests))
+    assert first.size == qwen_image_edit.output_size((96, 64), 64 * 64)
+    assert first.mode == "RGB"
+    assert first.tobytes() == again.tobytes()
+    assert first.tobytes() != other.tobytes()
+    assert editor.fingerprint()["settings"]["true_cfg_scale"] == 1.0
+    guided = qwen_image_edit.create(
+        str(tiny_qwen_image_21), "editor", steps=2, output_pixels=64 * 64, true_cfg_scale=4.0, negative_prompt="blur"
+    )
+    assert guided.edit(requests[:1])[0].image.tobytes() != first.tobytes()
+
+
 @pytest.mark.parametrize(
     ("setting", "value"), [("true_cfg_scale", 4.0), ("negative_prompt", "blurry"), ("lightning", 4)]
 )

@@ -33,6 +33,7 @@ from a4agent.experts.local.base import (
 from a4agent.experts.local.checkpoints import Checkpoint, digest_of, find_checkpoint, find_file, parameter_count
 from a4agent.experts.local.generation import load_processor
 from a4agent.files import read_package_toml
+from a4agent.imaging.load import load_image
 from a4agent.protocols import EditAnswer, EditRequest, Role
 
 
@@ -50,7 +51,7 @@ class PipelineKind:
 
 PIPELINES = {
     "QwenImageEditPlusPipeline": PipelineKind(30, "true_cfg_scale", 4.0, " ", "Qwen2VLProcessor", True),
-    "QwenImage21Pipeline": PipelineKind(40, "true_cfg_scale", 1.0, " "),
+    "QwenImage21Pipeline": PipelineKind(40, "true_cfg_scale", 1.0, " ", "Qwen3VLProcessor"),
     "Flux2KleinPipeline": PipelineKind(4, "guidance_scale", 1.0),
 }
 """Pipelines of diffusers that edit a picture, with the defaults of the authors (Qwen) or of the model's card."""
@@ -263,19 +264,14 @@ class DiffusersEditor(LocalExpert):
         picture = self._pipeline(
             image=[request.image],
             prompt=request.prompt,
-            **(
-                {"negative_prompt": self.settings["negative_prompt"]}
-                if self._kind.negative_prompt and scale > 1
-                else {}
-            ),
-            **{self._kind.scale: scale},
+            **guidance,
             num_inference_steps=steps,
             width=width,
             height=height,
             generator=torch.Generator("cpu").manual_seed(request.seed),  # on the CPU: the same noise on any device
             callback_on_step_end=on_step_end,
         ).images[0]
-        return EditAnswer(picture, usage=watch.usage(1))
+        return EditAnswer(load_image(picture), usage=watch.usage(1))  # Qwen-Image 2.1 draws transparency, too
 
 
 def output_size(size_wh: tuple[int, int], pixels: int) -> tuple[int, int]:
