@@ -24,6 +24,7 @@ REPOSITORY = {
     "README.md": b"never fetched",
 }
 TINY = "facebook/sam2.1-hiera-tiny"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture
@@ -219,3 +220,26 @@ def test_a_pinned_revision_is_the_one_that_is_fetched(a4, hub):
     assert f"GET /api/models/{TINY}/revision/{COMMIT}" in hub.asked
     wrong = a4("pull", "pinned.toml", "--set", "spotter.segmenter.revision=v9")
     assert "no revision 'v9'" in wrong.stderr
+
+
+def test_the_commit_that_was_pulled_is_in_the_runs_manifest(tmp_path):
+    pytest.importorskip("torch")
+    from random_weights import save_sam2
+
+    files = {path.name: path.read_bytes() for path in save_sam2(tmp_path / "sam2").iterdir()}
+    with FakeHub({TINY: files}) as hub:
+        a4 = Terminal(tmp_path, hub.url)
+        assert a4("pull", "sam2:tiny").returncode == 0
+        done = subprocess.run(
+            [sys.executable, "-m", "a4agent.cli.main", "bench", "folder", "--data", str(EXAMPLES), "--limit", "1"]
+            + ["--set", "spotter.segmenter=sam2:tiny", "--out", "run"],
+            env={**a4.environment, "HF_HUB_OFFLINE": "1"},
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=200,
+            check=False,
+        )
+    assert done.returncode == 0, done.stderr
+    experts = json.loads((tmp_path / "run" / "manifest.json").read_text("utf-8"))["identity"]["experts"]
+    assert [one["revision"] for one in experts if one["id"].startswith("sam2:")] == [COMMIT]
