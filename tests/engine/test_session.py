@@ -235,7 +235,7 @@ def test_an_outage_is_not_held_against_a_sample_that_failed_before() -> None:
     detector = ScriptedDetector(down_for_a_while, concurrency=16)
     agent = A4Agent(None, None, Spotter(detector, ScriptedSegmenter()))
     queries = [Query(str(number), Image.new("RGB", (8, 8)), f"open {number}") for number in range(16)]
-    answers = by_id(agent, iter(queries), settings=EngineSettings(retry_wait=0.15, retries=1, in_flight=16))
+    answers = by_id(agent, iter(queries), settings=EngineSettings(retry_wait=0.06, retries=1, in_flight=16))
     assert {a.status for a in answers.values()} == {"ok"}
 
 
