@@ -4,7 +4,10 @@ import asyncio
 import contextlib
 import http.client
 import logging
+import platform
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -189,3 +192,33 @@ def test_a_flood_of_log_records_is_cut_and_counted(monkeypatch: pytest.MonkeyPat
     clock[0] = 60.0
     assert limit.filter(record)
     assert record.getMessage() == "out of files (4900 more messages before this one)"
+
+
+HELD = """
+import sys
+import numpy as np
+from a4agent.serve.http_server import return_freed_memory
+
+def resident():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096 / 2**20
+
+if sys.argv[1] == "yes":
+    return_freed_memory()
+np.ones(24 * 2**20, np.uint8)  # freed at once, after which glibc keeps buffers up to this size
+before = resident()
+pictures, answers = [], []
+for _ in range(20):
+    pictures.append(np.ones(4 * 2**20, np.uint8))
+    answers.append(bytes(100_000))  # small, and kept
+pictures.clear()
+print(resident() - before)
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="about glibc's allocator")
+def test_the_memory_of_pictures_is_given_back() -> None:
+    def growth(returned: str) -> float:
+        return float(subprocess.run([sys.executable, "-c", HELD, returned], capture_output=True, check=True).stdout)
+
+    assert growth("yes") < 10  # MiB, of 80
+    assert growth("no") > 40
