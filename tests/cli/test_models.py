@@ -226,13 +226,13 @@ def test_the_commit_that_was_pulled_is_in_the_runs_manifest(tmp_path):
     pytest.importorskip("torch")
     from random_weights import save_sam2
 
+    bench = ["bench", "folder", "--data", str(EXAMPLES), "--limit", "1", "--set", "spotter.segmenter=sam2:tiny"]
     files = {path.name: path.read_bytes() for path in save_sam2(tmp_path / "sam2").iterdir()}
     with FakeHub({TINY: files}) as hub:
         a4 = Terminal(tmp_path, hub.url)
         assert a4("pull", "sam2:tiny").returncode == 0
         done = subprocess.run(
-            [sys.executable, "-m", "a4agent.cli.main", "bench", "folder", "--data", str(EXAMPLES), "--limit", "1"]
-            + ["--set", "spotter.segmenter=sam2:tiny", "--out", "run"],
+            [sys.executable, "-m", "a4agent.cli.main", *bench, "--out", "run"],
             env={**a4.environment, "HF_HUB_OFFLINE": "1"},
             cwd=tmp_path,
             capture_output=True,
