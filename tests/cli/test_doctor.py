@@ -53,6 +53,26 @@ def test_it_names_the_command_for_what_is_not(
     assert "OPENAI_API_KEY" in said
 
 
+def test_profiles_whose_model_is_about_to_go_say_so_without_a_key(capsys: pytest.CaptureFixture[str]) -> None:
+    until = report(capsys)["profiles_until"]
+    assert until == {name: {"openai:gpt-4o": "2027-01-14"} for name in ("authors", "paper", "without-dreamer")}
+    with pytest.raises(SystemExit):
+        main(["doctor"])
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if " paper " in line)
+    assert line.endswith("openai:gpt-4o ends 2027-01-14")
+
+
+def test_a_configured_model_about_to_go_is_named_without_a_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("OPENAI_API_KEY", raising=False)
+    Path("a4.toml").write_text("profile = 'paper'")
+    assert examine()["retiring"] == {"openai:gpt-4o": "2027-01-14"}
+    Path("a4.toml").write_text(
+        "profile = 'paper'\n[thinker]\nvlm.base_url = 'http://127.0.0.1:9/v1'\n[dreamer]\nvlm.base_url = 'http://127.0.0.1:9/v1'"
+    )
+    assert examine()["retiring"] == {}
+
+
 @pytest.mark.parametrize("announced", [{}, {"shutdown_date": "2027-03-01"}])
 def test_a_model_about_to_be_switched_off_is_named(
     openai_server: FaultyServer, announced: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -6,6 +6,7 @@ import json
 import os
 import platform
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -13,7 +14,7 @@ import typer
 
 from a4agent import __version__
 from a4agent.benchmarks import registry
-from a4agent.config import load_settings, profile_names
+from a4agent.config import ExpertSettings, load_profile, load_settings, profile_names
 from a4agent.errors import A4Error
 from a4agent.experts import registry as experts
 from a4agent.protocols import Role
@@ -56,6 +57,9 @@ def examine() -> dict[str, Any]:
             name: [{"what": missing.what, "fix": missing.fix} for missing in check_profile(name)]
             for name in profile_names()
         },
+        "profiles_until": {
+            name: models for name in profile_names() if (models := _announced(load_profile(name).expert_specs()))
+        },
     }
 
 
@@ -79,12 +83,19 @@ def _retiring() -> dict[str, str]:
         try:
             expert: Any = experts.create(spec.expert, cast(Role, role.rpartition(".")[2]), spec.settings)
         except Exception:  # the profile's own lines say what is missing
+            found |= _announced({role: spec})
             continue
         date = expert.shutdown_date() if hasattr(expert, "shutdown_date") else ""
         if date:
             found[expert.id] = date
         expert.close()
     return found
+
+
+def _announced(specs: Mapping[str, ExpertSettings]) -> dict[str, str]:
+    """The models that their vendors have said to switch off, with the day, as this package knows it. Asks nobody."""
+    dates = {spec.expert: experts.last_day(spec.expert, spec.settings) for spec in specs.values()}
+    return {name: date for name, date in dates.items() if date}
 
 
 def _free_disk_gb() -> float | None:
@@ -153,10 +164,13 @@ def _show(report: dict[str, Any]) -> None:
     console.print("\n[bold]Profiles[/]")
     width = max(map(len, report["profiles"]))
     for name, missing in report["profiles"].items():
+        until = "".join(
+            f"  {escape(model)} ends {date}" for model, date in report["profiles_until"].get(name, {}).items()
+        )
         if not missing:
-            console.print(f"  {good} {name}")
+            console.print(f"  {good} {name}{until}")
             continue
-        console.print(f"  {bad} {name:{width}} {_in_short(missing):32} [cyan]a4 profiles {name}[/]")
+        console.print(f"  {bad} {name:{width}} {_in_short(missing):32} [cyan]a4 profiles {name}[/]{until}")
 
 
 def _in_short(missing: list[dict[str, str]]) -> str:

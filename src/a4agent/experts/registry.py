@@ -72,6 +72,19 @@ def split(spec: str) -> tuple[str, str]:
     return provider, model
 
 
+def last_day(spec: str, settings: Mapping[str, Any]) -> str:
+    """The day (ISO) from which the vendor no longer serves a model, as far as this package knows; "" if none is.
+
+    The factory's module says it with `last_day(model, settings)`. No server is asked.
+
+    Raises:
+        UnknownNameError: nobody registered the provider.
+    """
+    provider, model = split(spec)
+    module: Any = sys.modules.get(factory_of(provider).__module__)
+    return str(module.last_day(model, settings)) if hasattr(module, "last_day") else ""
+
+
 def inner_experts(spec: str, settings: Mapping[str, Any]) -> dict[Role, tuple[str, dict[str, Any]]]:
     """The experts that the expert `spec` would build for itself, by role: their spec and settings.
 

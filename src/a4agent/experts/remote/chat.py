@@ -19,6 +19,7 @@ from typing import Any
 from a4agent.errors import A4Error, ConfigError, RefusedAnswer, RequestRejected
 from a4agent.experts.remote.base import RemoteExpert, fields_from_setting, text_of
 from a4agent.experts.remote.connection import Connection, Sent
+from a4agent.experts.remote.prices import price_of
 from a4agent.imaging.encode import PictureEncoder
 from a4agent.protocols import ChatAnswer, ChatRequest, Role
 
@@ -101,6 +102,13 @@ def create(
         price=price,
         extra=fields_from_setting(extra),
     )
+
+
+def last_day(model: str, settings: Mapping[str, Any]) -> str:
+    """The day (ISO) that the vendor announced for a model at its own server; "" if it announced none."""
+    elsewhere = settings.get("base_url") or settings.get("server") not in (None, "", "openai")
+    listed = None if elsewhere else price_of(model)
+    return listed.retires if listed else ""
 
 
 class OpenAIVLM(RemoteExpert):
