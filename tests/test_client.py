@@ -144,6 +144,30 @@ def test_an_array_goes_as_it_is(url: str) -> None:
         Client(url, TOKEN).predict(pixels.astype(float), "open")
 
 
+def test_contacts_come_in_pixels_and_with_depth_in_metres(url: str, photo: bytes, tmp_path: Path) -> None:
+    camera = {"fx": 200.0, "fy": 200.0, "cx": 79.5, "cy": 59.5}
+    metres = np.full((120, 160), 0.7)
+    metres[0, 0] = np.nan
+    millimetres = np.nan_to_num(metres * 1000).astype(np.uint16)
+    Image.fromarray(millimetres).save(tmp_path / "depth.png")
+    asked = Client(url, TOKEN)
+    without = asked.predict(photo, "open")
+    assert without.contacts[0].position_xyz is None
+    assert without.mask.contains(*without.contacts[0].point_xy)
+    assert without.grasps == ()
+    assert "depth" in without.no_grasps
+    for depth in (metres, millimetres, tmp_path / "depth.png", (tmp_path / "depth.png").read_bytes()):
+        (contact, *_) = asked.predict(photo, "open", depth=depth, camera=camera).contacts
+        assert contact.position_xyz is not None
+        assert contact.position_xyz[2] == pytest.approx(0.7, abs=1e-3)
+    micrometres = asked.predict(photo, "open", depth=millimetres * 10, camera=camera, depth_scale=1e-4)
+    assert micrometres.contacts == asked.predict(photo, "open", depth=millimetres, camera=camera).contacts
+    with pytest.raises(ServerError, match="camera: it is needed"):
+        asked.predict(photo, "open", depth=metres)
+    with pytest.raises(TypeError, match="float metres"):
+        asked.predict(photo, "open", depth=metres[0])
+
+
 def test_the_same_attributes_as_the_librarys_own(url: str, photo: bytes) -> None:
     theirs = Client(url, TOKEN).predict(photo, "öffne die Schublade", part="the knob")
     ours = core.Affordance.from_dict(theirs.to_dict())

@@ -4,6 +4,11 @@
     affordance = client.predict("mug.jpg", "drink from the mug")
     if affordance.status == "ok":
         print(affordance.target.object_part, affordance.points_xy, affordance.mask.contains(440, 251))
+        print(affordance.contacts[0].point_xy)      # where to touch it
+
+    camera = {"fx": 600, "fy": 600, "cx": 319.5, "cy": 239.5}
+    affordance = client.predict("mug.jpg", "drink from the mug", depth="mug-depth.png", camera=camera)
+    print(affordance.contacts[0].position_xyz, affordance.grasps[:1])   # in metres
 
     for name, value in client.stream("mug.jpg", "drink from the mug"):   # as the stages finish
         print(name, value)
@@ -25,7 +30,7 @@ import struct
 import time
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -33,8 +38,9 @@ from urllib.parse import urlsplit
 if TYPE_CHECKING:
     Box = tuple[float, float, float, float]
     Point = tuple[float, float]
+    Vector = tuple[float, float, float]
 
-__all__ = ["Affordance", "Client", "Mask", "Region", "ServerError", "Target"]
+__all__ = ["Affordance", "Client", "Contact", "Grasp", "Mask", "Region", "ServerError", "Target"]
 
 
 class ServerError(Exception):
@@ -134,12 +140,39 @@ class Region:
 
 
 @dataclass(frozen=True)
+class Contact:
+    """A place to touch, in pixels; with depth also in metres in the camera's optical frame, else None.
+
+    `clearance` is in pixels from the mask's edge; `normal_xyz` points to the camera, `approach_xyz` into the surface.
+    """
+
+    point_xy: Point
+    clearance: float
+    position_xyz: Vector | None
+    normal_xyz: Vector | None
+    approach_xyz: Vector | None
+    reachable: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """A parallel gripper's `pose` (4 rows of 4, metres): x closes, z approaches. `width` is its opening in metres."""
+
+    pose: tuple[tuple[float, ...], ...]
+    width: float
+    score: float
+    contacts_xy: tuple[Point, ...]
+
+
+@dataclass(frozen=True)
 class Affordance:
     """The answer.
 
     `status` is "ok", "abstained" (the mask is a guess: not certain enough), "empty" (nothing found), "invalid" (a
     model's answer was unusable) or "error". `confidence` is the probability (0 to 1) that the mask is right, None where
     the server has no Verifier; `checks` are what it looked at, dicts with "name", "value", "note" and "blame".
+    `contacts` and `grasps` come best first; grasps need depth, and `no_grasps` says why there are none.
     """
 
     instruction: str
@@ -153,6 +186,9 @@ class Affordance:
     id: str = ""
     confidence: float | None = None
     checks: tuple[dict[str, Any], ...] = ()
+    contacts: tuple[Contact, ...] = ()
+    grasps: tuple[Grasp, ...] = ()
+    no_grasps: str = ""
     json: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -173,19 +209,22 @@ class Affordance:
     def from_dict(cls, data: dict[str, Any]) -> Affordance:
         """Read the JSON of an answer."""
         width, height = data["size_wh"]
-        target = data["target"]
+        action: dict[str, Any] = data["action"]
         return cls(
             instruction=data["instruction"],
             size_wh=(width, height),
             status=data["status"],
             error=data["error"],
-            target=_target(target) if target else None,
+            target=_read(Target, data["target"]) if data["target"] else None,
             regions=tuple(_region(row, data["mask"]) for row in data["regions"]),
             mask=_mask(data["mask"]),
             trace=tuple(data["trace"]),
             id=data.get("id", ""),
             confidence=data["confidence"],
             checks=tuple(data["checks"]),
+            contacts=tuple(_read(Contact, row) for row in action["contacts"]),
+            grasps=tuple(_read(Grasp, row) for row in action["grasps"]),
+            no_grasps=action["reason"],
             json=data,
         )
 
@@ -219,13 +258,30 @@ class Client:
         self._headers = {"Authorization": "Bearer " + token.strip()} if token else {}
         self._ssl = ssl_context
 
-    def predict(self, image: Any, instruction: str, part: str | None = None) -> Affordance:
+    def predict(
+        self,
+        image: Any,
+        instruction: str,
+        part: str | None = None,
+        *,
+        depth: Any = None,
+        camera: dict[str, float] | None = None,
+        depth_scale: float = 0.001,
+    ) -> Affordance:
         """Where to act for `instruction`; if the `part` is known already, only where it is.
+
+        `depth` is registered to the picture: a 16-bit PNG (path or bytes), a uint16 array (H, W) in units of
+        `depth_scale` metres, or a float array in metres. `camera` has "fx", "fy", "cx" and "cy" in pixels.
 
         Raises:
             ServerError: the question was refused, or the server stayed busy or away.
         """
-        body, kind = _form(image, instruction, part)
+        texts = {"instruction": instruction, "part": part}
+        files = {"image": _file_of(image)}
+        if depth is not None:
+            files["depth"], scale = _depth_file_of(depth, depth_scale)
+            texts.update(camera=json.dumps(camera), depth_scale=repr(scale))
+        body, kind = _form(texts, files)
         return Affordance.from_dict(self._post("/v1/affordances", body, kind))
 
     def predict_many(self, samples: Sequence[tuple[Any, str]]) -> list[Affordance]:
@@ -244,7 +300,7 @@ class Client:
         Raises:
             ServerError: as `predict`, also after some events.
         """
-        body, kind = _form(image, instruction, part)
+        body, kind = _form({"instruction": instruction, "part": part}, {"image": _file_of(image)})
         connection, response = self._answer("POST", "/v1/affordances?stream=1", body, kind)
         try:
             name = ""
@@ -330,14 +386,15 @@ class Client:
         return http.client.HTTPConnection(host, port, timeout=self.timeout)
 
 
-def encode_png(width: int, height: int, rgb: bytes) -> bytes:
-    """An RGB PNG of raw pixels, row by row, three bytes each."""
-    rows = b"".join(b"\0" + rgb[start : start + 3 * width] for start in range(0, 3 * width * height, 3 * width))
+def encode_png(width: int, height: int, pixels: bytes, deep: bool = False) -> bytes:
+    """A PNG of raw pixels, row by row: three bytes of RGB each, or two of `deep` grey, the higher first."""
+    length = (2 if deep else 3) * width
+    rows = b"".join(b"\0" + pixels[start : start + length] for start in range(0, length * height, length))
 
     def chunk(name: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    header = struct.pack(">IIBBBBB", width, height, 16 if deep else 8, 0 if deep else 2, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows, 1)) + chunk(b"IEND", b"")
 
 
@@ -352,34 +409,48 @@ def _file_of(image: Any) -> bytes:
     return encode_png(shape[1], shape[0], image.tobytes())
 
 
-def _form(image: Any, instruction: str, part: str | None) -> tuple[bytes, str]:
-    data = _file_of(image)
-    boundary = f"a4-{zlib.crc32(data):08x}{zlib.adler32(data):08x}"
-    while boundary.encode() in data:
+def _depth_file_of(depth: Any, scale: float) -> tuple[bytes, float]:
+    """A depth image as a 16-bit PNG, and its metres per unit."""
+    if isinstance(depth, (bytes, bytearray, memoryview, str, Path)):
+        return _file_of(depth), scale
+    import numpy
+
+    values = numpy.asarray(depth)
+    if values.ndim != 2 or values.dtype.kind not in "fu":
+        raise TypeError(f"depth is (H, W) of uint16 or of float metres, not {values.shape} of {values.dtype}")
+    if values.dtype.kind == "f":
+        values, scale = numpy.nan_to_num(values, posinf=0, neginf=0) * 1000, 0.001
+    whole = values.round().clip(0, 65535).astype(">u2")
+    return encode_png(whole.shape[1], whole.shape[0], whole.tobytes(), deep=True), scale
+
+
+def _form(texts: dict[str, str | None], files: dict[str, bytes]) -> tuple[bytes, str]:
+    boundary = "a4-" + "".join(f"{zlib.crc32(data):08x}{zlib.adler32(data):08x}" for data in files.values())
+    while any(boundary.encode() in data for data in files.values()):
         boundary += "x"
     body = b""
-    for name, text in (("instruction", instruction), ("part", part)):
+    for name, text in texts.items():
         if text is not None:
             head = f'--{boundary}\r\nContent-Disposition: form-data; name="{name}"\r\n\r\n'
             body += head.encode() + text.encode("utf-8") + b"\r\n"
-    head = f'--{boundary}\r\nContent-Disposition: form-data; name="image"; filename="image"\r\n\r\n'
-    body += head.encode() + data + f"\r\n--{boundary}--\r\n".encode()
-    return body, "multipart/form-data; boundary=" + boundary
-
-
-def _target(row: dict[str, Any]) -> Target:
-    return Target(row["task"], row["object_name"], row["object_part"], row.get("thinking", ""))
+    for name, data in files.items():
+        head = f'--{boundary}\r\nContent-Disposition: form-data; name="{name}"; filename="{name}"\r\n\r\n'
+        body += head.encode() + data + b"\r\n"
+    return body + f"--{boundary}--\r\n".encode(), "multipart/form-data; boundary=" + boundary
 
 
 def _region(row: dict[str, Any], union: dict[str, Any]) -> Region:
     """A region; the mask of a single one is sent as the answer's."""
-    box = row["box_xyxy"]
-    return Region(
-        box_xyxy=None if box is None else (box[0], box[1], box[2], box[3]),
-        points_xy=tuple((point[0], point[1]) for point in row["points_xy"]),
-        mask=_mask(row["mask"] or union),
-        score=row["score"],
-    )
+    return Region(_tuples(row["box_xyxy"]), _tuples(row["points_xy"]), _mask(row["mask"] or union), row["score"])
+
+
+def _read(kind: Any, row: dict[str, Any]) -> Any:
+    """A dataclass from the fields of a JSON object, with tuples for lists."""
+    return kind(**{one.name: _tuples(row[one.name]) for one in fields(kind)})
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 def _mask(rle: dict[str, Any]) -> Mask:

@@ -151,6 +151,7 @@ def test_too_little_surface_has_no_frame_but_keeps_its_points(pixels: list[tuple
 
 def test_an_answer_of_the_client_is_told_how_to_become_an_affordance() -> None:
     answer = Affordance("pull", (4, 3), status="empty").to_dict()
+    answer["action"] = {"contacts": [], "grasps": [], "reason": ""}
     with pytest.raises(InputError, match=r"Affordance\.from_dict\(answer\.to_dict\(\)\)"):
         lift(client.Affordance.from_dict(answer), np.ones((3, 4)), np.eye(3))  # type: ignore[arg-type]
 

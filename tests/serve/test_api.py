@@ -18,6 +18,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from a4agent.acting.lifting import Intrinsics
+from a4agent.acting.plan import plan_action
 from a4agent.agent import A4Agent
 from a4agent.errors import CredentialError, UnreadableAnswer
 from a4agent.serve.admission import Limits
@@ -66,6 +68,7 @@ def test_a_form_and_a_json_body_give_what_predict_gives(serve: Serve, photo: byt
     call = serve()
     expected = scripted_agent(dream=True).predict(photo, "open the drawer").to_dict()
     expected["regions"][0]["mask"] = None  # it is the answer's
+    expected["action"] = plan_action(Affordance.from_dict(expected)).to_dict()
     body, headers = form(photo, instruction="open the drawer", id="7")
     from_form = call("POST", ONE, body, headers=headers)
     from_json = call.ask(photo)
@@ -73,6 +76,54 @@ def test_a_form_and_a_json_body_give_what_predict_gives(serve: Serve, photo: byt
     assert without_times(from_json.json) == without_times(expected)
     assert without_times(from_form.json) == without_times({**expected, "id": "7"})
     assert (Affordance.from_dict(from_json.json).mask == Affordance.from_dict(expected).mask).all()
+
+
+def test_depth_gives_contacts_in_metres_and_grasps(serve: Serve, photo: bytes) -> None:
+    call = serve()
+    camera = {"fx": 200.0, "fy": 200.0, "cx": 79.5, "cy": 59.5}
+    millimetres = np.full((120, 160), 700, np.uint16)
+    millimetres[50:70, 70:90] = 500  # the part of the scripted segmenter lies nearer
+    file = io.BytesIO()
+    Image.fromarray(millimetres).save(file, "PNG")
+    depth = base64.b64encode(file.getvalue()).decode()
+    fields = {"image": base64.b64encode(photo).decode(), "instruction": "open", "depth": depth, "camera": camera}
+    action = call("POST", ONE, json.dumps(fields).encode(), headers={"Content-Type": "application/json"}).json["action"]
+    answer = Affordance.from_dict(call.ask(photo).json)
+    expected = plan_action(answer, depth=millimetres / 1000, camera=Intrinsics(**camera)).to_dict()
+    assert action == expected
+    assert action["contacts"][0]["position_xyz"] is not None
+    body = {"samples": [fields, {**fields, "depth": None}]}
+    both = call("POST", BATCH, json.dumps(body).encode(), headers={"Content-Type": "application/json"}).json
+    assert [row["action"]["contacts"][0]["position_xyz"] is None for row in both["affordances"]] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"camera": None}, "camera: it is needed"),
+        ({"camera": {"fx": 0, "fy": 1, "cx": 0, "cy": 0}}, "camera.fx: "),
+        ({"camera": {"fx": 1, "fy": 1, "cx": "NaN", "cy": 0}}, "camera.cx: "),
+        ({"depth": "http://host/a.png"}, "depth: this server fetches no URLs"),
+        ({"depth": "%%%"}, "depth: not base64"),
+        ({"depth": base64.b64encode(b"no picture").decode()}, "depth: "),
+        ({"depth_scale": 0}, "depth_scale: "),
+    ],
+)
+def test_depth_that_cannot_be_used_is_refused_by_name(
+    changes: dict[str, Any], reason: str, serve: Serve, photo: bytes
+) -> None:
+    file = io.BytesIO()
+    Image.new("I;16", (160, 120), 500).save(file, "PNG")
+    fields: dict[str, Any] = {
+        "image": base64.b64encode(photo).decode(),
+        "instruction": "open",
+        "depth": base64.b64encode(file.getvalue()).decode(),
+        "camera": {"fx": 200, "fy": 200, "cx": 80, "cy": 60},
+        **changes,
+    }
+    answer = serve()("POST", ONE, json.dumps(fields).encode(), headers={"Content-Type": "application/json"})
+    assert answer.code == 422
+    assert answer.json["error"].startswith(reason)
 
 
 def test_masks_come_as_asked(serve: Serve, photo: bytes) -> None:

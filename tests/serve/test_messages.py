@@ -127,7 +127,7 @@ def test_no_bytes_break_the_reader_of_pictures(noise: bytes, patch: bytes) -> No
     whole = base64.b64decode(api_docs.example()["image"])
     for data in (noise, whole[: len(noise)], whole[:20] + patch + whole[20 + len(patch) :]):
         try:
-            found = messages.from_form({"instruction": "open"}, data, LIMITS)
+            found = messages.from_form({"instruction": "open"}, {"image": data}, LIMITS)
         except Refused as refused:
             assert refused.code in (413, 422)
         else:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from a4agent.acting.lifting import Intrinsics, back_project
+from a4agent.imaging.masks import tight_box
 
 PATCH_PIXELS = 6
 """The surface around a contact is fitted to the measured pixels of the mask within this distance, and 15 mm."""
@@ -59,15 +60,20 @@ def contact_points(
     """
     from scipy.ndimage import distance_transform_edt
 
-    room = np.asarray(distance_transform_edt(np.pad(mask, 1)))[1:-1, 1:-1]
-    rows, columns = np.indices(mask.shape)
+    box = tight_box(mask)
+    if box is None:
+        return ()
+    left, top, right, bottom = (int(edge) for edge in box)
+    inside = mask[top:bottom, left:right]
+    room = np.asarray(distance_transform_edt(np.pad(inside, 1)))[1:-1, 1:-1]
+    rows, columns = np.indices(inside.shape)
     found: list[Contact] = []
-    centre = np.argwhere(mask).mean(0) if mask.any() else np.zeros(2)
+    centre = np.argwhere(inside).mean(0)
     while len(found) < count and room.max(initial=0.0) > 0:
         deepest = np.argwhere(room >= room.max() - 0.5)  # along a bar many are as deep: take the middle one
         row, column = (int(i) for i in deepest[np.linalg.norm(deepest - centre, axis=1).argmin()])
         clearance = float(room[row, column])
-        point = np.array([column + 0.5, row + 0.5], np.float32)
+        point = np.array([left + column + 0.5, top + row + 0.5], np.float32)
         found.append(_measured(Contact(point, clearance), mask, depth, camera))
         room = np.where(np.hypot(rows - row, columns - column) < 2 * clearance, 0.0, room)
     return tuple(sorted(found, key=lambda contact: (contact.position_xyz is None, not contact.reachable)))

@@ -100,7 +100,7 @@ def draw_plan(photo: Image, plan: ActionPlan, camera: Intrinsics, *, grasps: int
     pen = ImageDraw.Draw(canvas)
     unit = max(round(max(canvas.size) / 320), 1)
     for rank, grasp in reversed(list(enumerate(plan.grasps[:grasps]))):
-        lines = [_projected(line, camera) for line in _gripper_lines(grasp)]
+        lines = [_projected(line, camera) for line in gripper_lines(grasp)]
         thick = 2 * unit if rank == 0 else unit
         for colour, width in ((HALO, thick + 2 * unit), (GRIPPER, thick)):
             for line in lines:
@@ -113,7 +113,7 @@ def draw_plan(photo: Image, plan: ActionPlan, camera: Intrinsics, *, grasps: int
     return canvas
 
 
-def _gripper_lines(grasp: Grasp) -> list[np.ndarray]:
+def gripper_lines(grasp: Grasp) -> list[np.ndarray]:
     """A fork: two fingers, the bar between them and the wrist; each line (n, 3) in the camera's frame."""
     half, finger, wrist = grasp.width / 2 + 0.006, 0.04, 0.08
     fork = np.array([[-half, 0, 0], [-half, 0, -finger], [half, 0, -finger], [half, 0, 0]])

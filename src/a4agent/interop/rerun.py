@@ -3,6 +3,7 @@
 rr.init("a4agent", spawn=True)
 log(affordance)                                   # picture, mask, boxes, points, thinking
 log_lifted(lift(affordance, depth, intrinsics))   # clouds, key points, contact frames
+log_plan(plan_action(affordance, depth=depth, camera=intrinsics))   # contacts to touch, grippers
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from a4agent.acting.lifting import Lifted
+from a4agent.acting.plan import GRIPPER, ActionPlan, gripper_lines
 from a4agent.errors import require
 from a4agent.types import Affordance
 
@@ -67,6 +69,36 @@ def log_lifted(lifted: Lifted, path: str = "affordance/lifted", recording: Any =
                 colors=[(255, 0, 0), (0, 255, 0), (0, 0, 255)],
             )
             rr.log(f"{entity}/frame", arrows, recording=recording)
+
+
+def log_plan(plan: ActionPlan, path: str = "affordance", recording: Any = None) -> None:
+    """Log contacts as points of the picture, and with depth as arrows into the surface, and grasps as grippers.
+
+    Raises:
+        MissingExtraError: rerun is not installed.
+    """
+    rr = require("rerun", extra="rerun")
+
+    def put(name: str, value: Any) -> None:
+        rr.log(f"{path}/{name}", value, recording=recording)
+
+    for name in ("image/contacts", "contacts", "grasps"):
+        put(name, rr.Clear(recursive=True))
+    labels = [str(rank + 1) for rank in range(len(plan.contacts))]
+    if plan.contacts:
+        points = np.stack([contact.point_xy for contact in plan.contacts])
+        put("image/contacts", rr.Points2D(points, radii=6.0, colors=COLOUR, labels=labels))
+    measured = [
+        (contact.position_xyz, contact.approach_xyz)
+        for contact in plan.contacts
+        if contact.position_xyz is not None and contact.approach_xyz is not None
+    ]
+    if measured:
+        positions, approaches = (np.stack(vectors) for vectors in zip(*measured, strict=True))
+        arrows = rr.Arrows3D(origins=positions - 0.05 * approaches, vectors=0.05 * approaches, colors=COLOUR)
+        put("contacts", arrows)
+    for rank, grasp in enumerate(plan.grasps):
+        put(f"grasps/{rank}", rr.LineStrips3D(gripper_lines(grasp), radii=0.001, colors=GRIPPER))
 
 
 def _story(affordance: Affordance) -> str:

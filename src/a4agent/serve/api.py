@@ -102,7 +102,7 @@ def create_app(
                     tell(name, messages.stage_to_wire(name, value, imagination))
 
             affordance = predictions.predict(agent, question, tell_stage)
-            return messages.to_wire(affordance, mask, imagination, trace)
+            return messages.to_wire(affordance, mask, imagination, trace, question.plan(affordance))
 
         if stream:
             events = predictions.stream(work, request.scope["place"])
@@ -128,8 +128,11 @@ def create_app(
         batch.samples.clear()
 
         def work(agent: A4Agent, tell: Tell) -> Any:
-            found = predictions.predict_batch(agent, asked, tell)
-            return {"affordances": [messages.to_wire(affordance, mask, imagination, trace) for affordance in found]}
+            answers: list[Any] = []
+            for one, affordance in zip(asked, predictions.predict_batch(agent, asked, tell), strict=True):
+                plan = one.plan(affordance) if isinstance(one, messages.Question) else None
+                answers.append(messages.to_wire(affordance, mask, imagination, trace, plan))
+            return {"affordances": answers}
 
         return JsonResponse(await predictions.answer(work, request))
 

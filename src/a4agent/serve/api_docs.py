@@ -61,6 +61,8 @@ def one_extra() -> dict[str, Any]:
     sample = messages.SampleIn.model_json_schema()
     fields = {name: dict(schema) for name, schema in sample["properties"].items()}
     fields["image"] = {"type": "string", "format": "binary", "description": "the file of a picture"}
+    fields["depth"] = {"type": "string", "format": "binary", "description": "the file of a 16-bit PNG"}
+    fields["camera"] = {"type": "string", "description": 'JSON: {"fx": 600, "fy": 600, "cx": 319.5, "cy": 239.5}'}
     fields["part"].update(fields["part"].pop("anyOf")[0])
     del fields["part"]["default"]
     form = {**sample, "properties": fields, "title": "SampleForm"}

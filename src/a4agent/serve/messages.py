@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from a4agent.acting.lifting import Intrinsics, metres_of
+from a4agent.acting.plan import ActionPlan, plan_action
 from a4agent.errors import InputError, MissingExtraError
-from a4agent.imaging.load import TooManyPixels, load_image
+from a4agent.imaging.load import TooManyPixels, load_image, read_pixels
 from a4agent.redaction import redact
 from a4agent.serve.admission import Limits, Refused, to_json
 from a4agent.types import Affordance, Detection, Given, Imagination, Target
@@ -30,7 +32,8 @@ MaskForm = Literal["rle", "png", "none"]
 PictureForm = Literal["none", "png"]
 TraceForm = Literal["full", "calls", "none"]
 LONGEST_TEXT = 2000
-FORM_FIELDS = ("image", "instruction", "part", "id")
+FORM_FIELDS = ("image", "instruction", "part", "id", "depth", "depth_scale", "camera")
+FORM_FILES = ("image", "depth")
 _PLAIN = {"string_pattern_mismatch": "it is blank", "model_type": "a JSON object is expected"}
 """Two of pydantic's messages, in words that a caller without pydantic understands."""
 
@@ -38,8 +41,19 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 Text = Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT, pattern=r"\S")]
 
 
+class CameraIn(BaseModel):
+    """A pinhole camera: focal lengths and principal point in pixels of the picture, as in ROS `CameraInfo`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    fx: float = Field(gt=0, lt=1e6)
+    fy: float = Field(gt=0, lt=1e6)
+    cx: float = Field(gt=-1e6, lt=1e6)
+    cy: float = Field(gt=-1e6, lt=1e6)
+
+
 class SampleIn(BaseModel):
-    """A picture and what to do in it."""
+    """A picture and what to do in it; with depth and a camera the answer has positions in metres and grasps."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -53,6 +67,12 @@ class SampleIn(BaseModel):
         None, description="The part, if you know it ('the handle of the mug'): only the Spotter runs."
     )
     id: str = Field("", max_length=200, description="Comes back with the answer.")
+    depth: str | None = Field(
+        None,
+        description="A 16-bit PNG of the same size in base64, registered to the picture; 0 where nothing was measured.",
+    )
+    depth_scale: float = Field(0.001, gt=0, le=10, description="Metres per unit of the depth.")
+    camera: CameraIn | None = Field(None, description="Needed with `depth`.")
 
 
 class BatchIn(BaseModel):
@@ -117,6 +137,36 @@ class StepOut(BaseModel):
     seconds: float
 
 
+class ContactOut(BaseModel):
+    """A place to touch, in pixels; with depth also in metres in the camera's optical frame (x right, z forward)."""
+
+    point_xy: tuple[float, float]
+    clearance: float = Field(description="pixels from the mask's edge")
+    position_xyz: tuple[float, float, float] | None
+    normal_xyz: tuple[float, float, float] | None = Field(description="unit, towards the camera")
+    approach_xyz: tuple[float, float, float] | None = Field(description="unit, into the surface")
+    reachable: bool
+    reason: str = Field(description="why it has no position or cannot be reached")
+
+
+class GraspOut(BaseModel):
+    """A parallel gripper's pose: rows of a 4 x 4 matrix; x closes, z approaches."""
+
+    pose: list[tuple[float, float, float, float]]
+    width: float = Field(description="metres")
+    score: float
+    contacts_xy: list[tuple[float, float]]
+
+
+class ActionOut(BaseModel):
+    """Where to touch and how to grasp, each best first."""
+
+    frame_id: str
+    contacts: list[ContactOut]
+    grasps: list[GraspOut] = Field(description="empty without depth")
+    reason: str = Field(description="why there are no grasps")
+
+
 class AffordanceOut(BaseModel):
     """Pixels of the upright picture, x right, y down; boxes half-open. Nothing found is the status `empty`."""
 
@@ -138,6 +188,7 @@ class AffordanceOut(BaseModel):
     mask: RleMask | PngMask | None = Field(description="the union of the regions' masks")
     regions: list[RegionOut]
     trace: list[StepOut]
+    action: ActionOut
 
 
 class BatchOut(BaseModel):
@@ -168,6 +219,12 @@ class Question:
     instruction: str
     given: Given | None
     id: str = ""
+    depth: np.ndarray | None = None
+    camera: Intrinsics | None = None
+
+    def plan(self, affordance: Affordance) -> ActionPlan:
+        """The contacts and grasps for the answer."""
+        return plan_action(affordance, depth=self.depth, camera=self.camera)
 
 
 @dataclass(frozen=True)
@@ -209,8 +266,8 @@ def from_samples(samples: Sequence[SampleIn], limits: Limits) -> list[Question |
     return questions
 
 
-def from_form(fields: Mapping[str, object], image: bytes | None, limits: Limits) -> Question:
-    """The question of a multipart form: its text fields, and the bytes of the file `image`.
+def from_form(fields: Mapping[str, object], files: Mapping[str, bytes], limits: Limits) -> Question:
+    """The question of a multipart form: its text fields, and the bytes of the files `image` and `depth`.
 
     Raises:
         Refused: 413 too many pixels, 422 a field or a picture that cannot be used.
@@ -218,9 +275,17 @@ def from_form(fields: Mapping[str, object], image: bytes | None, limits: Limits)
     unknown = sorted(set(fields) - set(FORM_FIELDS))
     if unknown:
         raise Refused(422, f"unknown field {unknown[0][:50]!r}; known: {', '.join(FORM_FIELDS)}")
-    if image is None:
+    if "image" not in files:
         raise Refused(422, "the field 'image' is missing or has no file; send the picture as a file")
-    return _with_picture(_validated(SampleIn, {**fields, "image": "a file"}), image, limits, limits.pixels)
+    if "depth" in fields:
+        raise Refused(422, "depth: send it as a file")
+    given = {**fields, "image": "a file"}
+    if isinstance(camera := fields.get("camera"), str):
+        try:
+            given["camera"] = json.loads(camera)
+        except (ValueError, RecursionError) as error:
+            raise Refused(422, f"camera: not JSON ({str(error)[:200]})") from error
+    return _with_picture(_validated(SampleIn, given), files["image"], files.get("depth"), limits, limits.pixels)
 
 
 def _parsed(body: bytes) -> Any:
@@ -239,19 +304,22 @@ def _validated(model: type[ModelT], value: Any) -> ModelT:
 
 
 def _question(sample: SampleIn, limits: Limits, left: int) -> Question:
-    text = sample.image
+    depth = None if sample.depth is None else _decoded("depth", sample.depth)
+    return _with_picture(sample, _decoded("image", sample.image), depth, limits, left)
+
+
+def _decoded(field: str, text: str) -> bytes:
     if "://" in text[:32]:
-        raise Refused(422, "image: this server fetches no URLs; send the bytes of the picture in base64")
+        raise Refused(422, f"{field}: this server fetches no URLs; send the bytes of the picture in base64")
     if text.startswith("data:"):
         text = text.partition(",")[2]
     try:
-        data = base64.b64decode(text, validate=True)
+        return base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError) as error:
-        raise Refused(422, f"image: not base64 ({error})") from error
-    return _with_picture(sample, data, limits, left)
+        raise Refused(422, f"{field}: not base64 ({error})") from error
 
 
-def _with_picture(sample: SampleIn, data: bytes, limits: Limits, left: int) -> Question:
+def _with_picture(sample: SampleIn, data: bytes, depth: bytes | None, limits: Limits, left: int) -> Question:
     try:
         picture = load_image(data, max_pixels=min(limits.pixels, left))
     except TooManyPixels as error:
@@ -262,13 +330,32 @@ def _with_picture(sample: SampleIn, data: bytes, limits: Limits, left: int) -> Q
     except (InputError, MissingExtraError) as error:  # a format that needs an extra, such as HEIC
         raise Refused(422, f"image: {error}") from error
     given = None if sample.part is None else Given(target=Target(sample.instruction, "", sample.part.strip()))
-    return Question(picture, sample.instruction, given, sample.id)
+    metres = None if depth is None else _metres(sample, depth, picture)
+    camera = sample.camera and Intrinsics(**sample.camera.model_dump())
+    return Question(picture, sample.instruction, given, sample.id, metres, camera)
+
+
+def _metres(sample: SampleIn, depth: bytes, picture: Image) -> np.ndarray:
+    """The depth (H, W) of a sample in metres, NaN where it was not measured."""
+    if sample.camera is None:
+        raise Refused(422, "camera: it is needed with a depth image")
+    try:
+        values = read_pixels(depth, max_pixels=picture.width * picture.height)
+        if values.ndim != 2:
+            raise InputError("a depth image has one channel, such as a 16-bit PNG")
+        return metres_of(values, picture.size, sample.depth_scale)
+    except (InputError, MissingExtraError) as error:
+        raise Refused(422, f"depth: {error}") from error
 
 
 def to_wire(
-    affordance: Affordance, mask: MaskForm = "rle", imagination: PictureForm = "none", trace: TraceForm = "full"
+    affordance: Affordance,
+    mask: MaskForm = "rle",
+    imagination: PictureForm = "none",
+    trace: TraceForm = "full",
+    plan: ActionPlan | None = None,
 ) -> dict[str, Any]:
-    """`affordance.to_dict()` in the forms that were asked for, without secrets.
+    """`affordance.to_dict()` in the forms that were asked for, without secrets, and the `action` for it.
 
     The mask of a single region is sent once, as the answer's `mask`.
     """
@@ -294,6 +381,7 @@ def to_wire(
         if row["score"] is not None and not math.isfinite(row["score"]):
             row["score"] = None
     data["regions"] = regions
+    data["action"] = (plan or plan_action(affordance)).to_dict()
     return data
 
 

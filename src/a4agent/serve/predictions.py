@@ -44,11 +44,14 @@ class Predictions:
             return await self._in_decoder(messages.from_json, await request.body(), self.limits)
         if kind != "multipart/form-data":
             raise Refused(415, f"send multipart/form-data or application/json, not {kind or 'a body of no type'}")
-        async with request.form(max_files=1, max_fields=8, max_part_size=64 * 1024) as form:
-            upload = form.get("image")
-            data = await upload.read() if isinstance(upload, UploadFile) else None
-            fields = {name: value for name, value in form.items() if name != "image"}
-        return await self._in_decoder(messages.from_form, fields, data, self.limits)
+        async with request.form(max_files=2, max_fields=8, max_part_size=64 * 1024) as form:
+            files = {
+                name: await value.read()
+                for name, value in form.items()
+                if name in messages.FORM_FILES and isinstance(value, UploadFile)
+            }
+            fields = {name: value for name, value in form.items() if name not in files and name != "image"}
+        return await self._in_decoder(messages.from_form, fields, files, self.limits)
 
     async def read_batch(self, samples: Sequence[SampleIn]) -> list[Question | Unusable]:
         """The questions of a batch, and what of it cannot be used."""
