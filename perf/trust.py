@@ -1,15 +1,18 @@
 """Whether a profile knows when it does not know: things that are there and things that are not, asked for in turn.
 
     python perf/trust.py --photos FOLDER [--profile offline] [--set NAME=VALUE] [--scenes 60] [--fit FILE]
+    python perf/trust.py --photos FOLDER --others FOLDER --scenes 0 --held-out       # pictures that no fit has seen
 
 FOLDER holds photographs of one thing each, as `perf/real_photos.py` describes. The set is built of
   - those photographs, asked for what is there, and for four things that are not;
   - photographs that scikit-image ships, where it is installed, asked for six things that are not there;
+  - photographs of `--others`, which show no tool, kitchenware or instrument, asked for eight things of that kind;
   - `sim` scenes of the dev split, asked for what is there, and for two things that are not.
-Half of the photographs and scenes are hidden from the fit. The other half is what `--fit` fits a calibration on, as
-`a4 calibrate` does, with right and wrong answers of the same weight; without it, the profile's own calibration is
-judged. An answer is right if its IoU with the truth is at least 0.5; for what is not there, every mask is wrong.
-Printed for the hidden half: AUROC, and the shares of accepted answers for thresholds around the profile's.
+Half of the photographs and scenes are hidden from the fit, all with `--held-out`. The other half is what `--fit` fits a
+calibration on, as `a4 calibrate` does, with right and wrong answers of the same weight; without it, the profile's own
+calibration is judged. An answer is right if its IoU with the truth is at least 0.5; for what is not there, every mask
+is wrong. Printed for the hidden half: AUROC, and the shares of accepted answers for thresholds around the
+profile's.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ import json
 import math
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -32,7 +35,7 @@ from PIL import Image
 from a4agent import A4Agent
 from a4agent.benchmarks import folder
 from a4agent.config import Settings, load_settings, parse_value
-from a4agent.imaging.load import load_image
+from a4agent.imaging.load import find_images, load_image
 from a4agent.runs import trust
 from a4agent.runs.bench import Bench
 from a4agent.runs.store import Record
@@ -64,11 +67,13 @@ ASKED = {
 }
 """What is asked for where it is not."""
 ALIKE = (
-    {"mug", "cup", "bowl", "kettle", "bottle", "pan"},
+    {"mug", "cup", "bowl", "kettle", "teapot", "bottle", "pan"},
     {"drawer", "door", "cabinet", "microwave", "coffee machine", "box"},
     {"spoon", "shovel", "trowel", "ladle"},
 )
 """Things that a person might call each other, so that none of them is asked for beside another."""
+FIXTURES = {"door", "drawer", "lamp", "chair", "bicycle", "umbrella"}
+"""Things of ASKED that streets and rooms may show somewhere."""
 SHIPPED = (
     "astronaut.png", "brick.png", "camera.png", "chelsea.png", "coins.png", "grass.png", "gravel.png", "horse.png",
     "hubble_deep_field.jpg", "moon.png", "motorcycle_left.png", "page.png", "retina.jpg", "rocket.jpg", "text.png",
@@ -92,8 +97,8 @@ class Question:
         return self.mask is not None
 
 
-def questions(photos: Path, scenes: Path | None) -> Iterator[Question]:
-    """All questions of the set."""
+def questions(photos: Path, scenes: Path | None, others: Path | None = None) -> Iterator[Question]:
+    """All questions of the set; `others` take the place of scikit-image's photographs."""
     for source, root in (("photo", photos), ("scene", scenes)):
         if root is None:
             continue
@@ -105,6 +110,10 @@ def questions(photos: Path, scenes: Path | None) -> Iterator[Question]:
             if image not in asked:
                 asked.add(image)
                 yield from absent(image, name, source, 4 if source == "photo" else 2)
+    if others is not None:
+        for image in find_images(others):
+            yield from absent(image, "", "other", 8, FIXTURES)
+        return
     data = importlib.util.find_spec("skimage")
     if data is None or data.origin is None:
         print("scikit-image is not installed: its photographs are left out")
@@ -115,9 +124,9 @@ def questions(photos: Path, scenes: Path | None) -> Iterator[Question]:
             yield from absent(image, "", "shipped", 6)
 
 
-def absent(image: Path, shown: str, source: str, count: int) -> Iterator[Question]:
+def absent(image: Path, shown: str, source: str, count: int, never: Collection[str] = ()) -> Iterator[Question]:
     """Questions for things that a picture does not show; which ones depends on its name alone."""
-    near = {shown}.union(*(group for group in ALIKE if shown in group))
+    near = {shown, *never}.union(*(group for group in ALIKE if shown in group))
     others = [name for name in ASKED if name not in near and name not in shown]
     others.sort(key=lambda name: hashlib.sha256(f"{image.name} {name}".encode()).digest())
     for name in others[:count]:
@@ -211,6 +220,8 @@ def main() -> None:
     parser.add_argument("--profile", default="offline")
     parser.add_argument("--set", dest="settings", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--scenes", type=int, default=60, metavar="N", help="of the simulator; 0 leaves them out")
+    parser.add_argument("--others", type=Path, metavar="FOLDER", help="photographs of none of the things asked for")
+    parser.add_argument("--held-out", action="store_true", help="judge all pictures, as none was in the fit")
     parser.add_argument("--work", type=Path, metavar="FOLDER", help="keeps the set and the runs; else a temporary one")
     parser.add_argument("--fit", type=Path, metavar="FILE", help="fit a calibration on the half that is not hidden")
     given = parser.parse_args()
@@ -227,8 +238,10 @@ def main() -> None:
             from a4agent.sim.make import make_set
 
             scenes = make_set(work / f"scenes-{given.scenes}", n=given.scenes, seed=11, split="dev", workers=2)
-        asked = list(questions(given.photos, scenes))
-        halves = {name: [q for q in asked if hidden(q.image) == (name == "hidden")] for name in ("seen", "hidden")}
+        asked = list(questions(given.photos, scenes, given.others))
+        halves: dict[str, list[Question]] = {"seen": [], "hidden": []}
+        for question in asked:
+            halves["hidden" if given.held_out or hidden(question.image) else "seen"].append(question)
         shown = ", ".join(f"{len(half)} {name}" for name, half in halves.items())
         print(f"{len(asked)} questions on {len({q.image for q in asked})} pictures: {shown}")
         runs = {
@@ -244,7 +257,7 @@ def main() -> None:
             calibration = balanced(fitted)
             card = {
                 **fitted.card,
-                "made_by": "perf/trust.py",
+                "made_by": f"perf/trust.py --photos FOLDER --scenes {given.scenes} --fit FILE",
                 "fitted_on": "photographs of tools, photographs of scikit-image, sim scenes of the dev split",
                 "prior": "right and wrong answers weigh the same",
             }

@@ -56,12 +56,21 @@ def names(numbers: list[int]) -> list[str]:
         ("the screwdriver", "screwdriver", "ballpoint"),
         ("umbrella", "umbrella", None),
         ("whale", "grey whale", None),
+        ("tennis racket", "racket", None),
     ],
 )
 def test_classes_of_a_thing(name: str, itself: str, alike: str | None) -> None:
     found = classes_of(name)
     assert itself in names(found[0])
     assert (alike in names(found[1])) if alike else not found[1]
+
+
+def test_what_imagenet_lacks_is_measured_by_what_it_looks_like() -> None:
+    assert classes_of("saw")[0] == []
+    saw = checks_of("saw")
+    assert saw["thing_itself"] is not None
+    assert saw["thing_itself"] >= (saw["thing_alike"] or 0)  # the better of two views against their mean
+    assert checks_of("object")["thing_itself"] is None
 
 
 def test_a_thing_without_a_name_may_be_any_known_one_and_an_unknown_one_none() -> None:

@@ -40,7 +40,10 @@ UNNAMED = ("object", "thing", "item", "tool", "")
 
 
 class Recognised:
-    """Two checks: the marked thing is of the named kind, or of one that looks like it. About 25 ms on one core."""
+    """Two checks: the marked thing is of the named kind, or of one that looks like it. About 25 ms on one core.
+
+    Of what ImageNet lacks ("saw") and recogniser.toml knows a likeness for, both are about that likeness.
+    """
 
     name: ClassVar[str] = "recognised"
     needs: ClassVar[tuple[str, ...]] = ()
@@ -55,7 +58,8 @@ class Recognised:
             return [Check("thing_itself", None, unknown), Check("thing_alike", None, unknown)]
         found = recognise(evidence.image, np.stack([around(box, times) for times in VIEWS]))
         label = labels()[int(found.max(0).argmax())]
-        sure = float(found[:, itself].sum(1).max()) if itself else None
+        kind = itself or ([] if bare(name) in UNNAMED else alike)
+        sure = float(found[:, kind].sum(1).max()) if kind else None
         near = float(found[:, sorted({*itself, *alike})].sum(1).mean())
         shown = f"best match: {label}"
         return [
@@ -88,11 +92,12 @@ def around(box_xyxy: np.ndarray, times: float) -> np.ndarray:
 def classes_of(name: str) -> tuple[list[int], list[int]]:
     """Which classes show a thing, and which look like it; both empty for what ImageNet and recogniser.toml lack.
 
-    Of a thing without a name ("object") all classes that recogniser.toml knows.
+    A name that ends with a class's ("tennis racket") is of that class. Of a thing without a name ("object") all classes
+    that recogniser.toml knows look like it.
     """
     tables = read_toml(HERE / "recogniser.toml")
     number = {label: i for i, label in reversed(list(enumerate(labels())))}
-    name = re.sub(r"^(?:the|a|an) ", "", name.strip().lower())
+    name = bare(name)
 
     def numbers(words: list[str]) -> list[int]:
         flat = [one for word in words for one in (tables["groups"][word[1:]] if word[0] == "@" else [word])]
@@ -102,8 +107,12 @@ def classes_of(name: str) -> tuple[list[int], list[int]]:
         return [], sorted({i for row in tables["things"].values() for i in numbers([*row["is"], *row["like"]])})
     if name in tables["things"]:
         return numbers(tables["things"][name]["is"]), numbers(tables["things"][name]["like"])
-    found = [i for i, label in enumerate(labels()) if label.lower() == name or label.lower().endswith(f" {name}")]
-    return found, []
+    return [i for i, label in enumerate(labels()) if _ends_alike(label.lower(), name)], []
+
+
+def bare(name: str) -> str:
+    """ "The Mug" -> "mug"."""
+    return re.sub(r"^(?:the|a|an) ", "", name.strip().lower())
 
 
 @lru_cache(maxsize=1)
@@ -127,6 +136,10 @@ def _session() -> Any:
     # The 8-bit weights are widened once, when the file is loaded: else each run widens them again.
     options.add_session_config_entry("session.disable_quant_qdq", "1")
     return onnxruntime.InferenceSession(weights, options, providers=["CPUExecutionProvider"])
+
+
+def _ends_alike(label: str, name: str) -> bool:
+    return f" {label}".endswith(f" {name}") or f" {name}".endswith(f" {label}")
 
 
 def _cut(image: Image, box_xyxy: np.ndarray) -> Image:
