@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -73,3 +74,15 @@ def test_every_module_says_what_it_is() -> None:
         if not path.read_text(encoding="utf-8").lstrip().startswith(('"""', 'r"""'))
     ]
     assert not undocumented
+
+
+def test_no_class_name_is_used_twice() -> None:
+    """But by the client, one file that has the names of the library's own types."""
+    names = [
+        node.name
+        for path in SRC.rglob("*.py")
+        if path.name != "client.py"
+        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ClassDef)
+    ]
+    assert sorted({name for name in names if names.count(name) > 1}) == []

@@ -1,7 +1,7 @@
 """What settings need on this machine: checkpoints, extras and keys, and the commands that get what is missing.
 
     needs(load_settings("small").expert_specs())
-        -> [Need("Qwen/Qwen3-VL-2B-Instruct", roles=("thinker.vlm",), path=None, info=Model(gigabytes=4.3, ...)), ...]
+        -> [Need("Qwen/Qwen3-VL-2B-Instruct", roles=("thinker.vlm",), path=None, info=CatalogueModel(...)), ...]
     check(settings.expert_specs())      before any work starts: every model is here, or can be fetched
 
 What a provider's model part stands for is in models.toml. A provider that is not there can say it itself:
@@ -39,7 +39,7 @@ class Spec(Protocol):
 
 
 @dataclass(frozen=True)
-class Model:
+class CatalogueModel:
     """What the catalogue knows of a checkpoint: about how many 10^9 bytes, under which licence.
 
     `code`: its repository holds Python code, which is fetched with it and runs only with `trust_remote_code = true`.
@@ -63,7 +63,7 @@ class Need:
     revision: str | None
     roles: tuple[str, ...]
     path: Path | None
-    info: Model
+    info: CatalogueModel
 
     @property
     def terms(self) -> str:
@@ -91,9 +91,9 @@ class Need:
         return snapshot[1] if snapshot else ""
 
 
-def catalogue() -> dict[str, Model]:
+def catalogue() -> dict[str, CatalogueModel]:
     """The checkpoints whose size and licence are known, by name."""
-    return {row["name"]: Model(**row) for row in read_package_toml("a4agent.experts", "models.toml")["model"]}
+    return {row["name"]: CatalogueModel(**row) for row in read_package_toml("a4agent.experts", "models.toml")["model"]}
 
 
 def needs(experts: Mapping[str, Spec]) -> list[Need]:
@@ -123,14 +123,14 @@ def need(checkpoint: str, revision: str | None = None, role: str = "") -> Need:
     roles = (role,) if role else ()
     path = Path(checkpoint).expanduser()
     if path.exists():
-        return Need(checkpoint, "", None, roles, path, Model(checkpoint, licence="your own folder"))
+        return Need(checkpoint, "", None, roles, path, CatalogueModel(checkpoint, licence="your own folder"))
     checkpoint, _, pinned = checkpoint.partition("@")
     revision = revision or pinned or None
     if not _NAME.fullmatch(checkpoint):
         raise ModelFilesError(f"there is no folder {checkpoint!r}, and the name of a model is written 'OWNER/NAME'")
     owner, model, *rest = checkpoint.split("/")
     name, file = f"{owner}/{model}", "/".join(rest)
-    info = catalogue().get(name, Model(name))
+    info = catalogue().get(name, CatalogueModel(name))
     return Need(name, file, revision, roles, hub.cached(name, revision, file), info)
 
 

@@ -24,7 +24,7 @@ from a4agent.runs import scores
 from a4agent.runs.bench import Bench, Selection
 from a4agent.runs.oracle import Oracle
 from a4agent.runs.store import read_run
-from a4agent.stages.signals import Geometry
+from a4agent.stages.signals import MaskGeometry
 from a4agent.stages.spotter import Spotter
 from a4agent.stages.verifier import Verifier
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter
@@ -275,7 +275,7 @@ def test_what_is_true_changes_no_answer_and_no_confidence(bench: MakeBench, data
 
     def verified() -> A4Agent:
         agent = pictures.agent()
-        return A4Agent(agent.dreamer, agent.thinker, agent.spotter, verifier=Verifier((Geometry(),), accept=0.9))
+        return A4Agent(agent.dreamer, agent.thinker, agent.spotter, verifier=Verifier((MaskGeometry(),), accept=0.9))
 
     true = bench("true").run(verified())
     noise = bench("noise", benchmark=replace(whole, sample=noisy, digest="noise")).run(verified())

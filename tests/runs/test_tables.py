@@ -16,7 +16,7 @@ from a4agent.errors import DataError
 from a4agent.runs import published, scores
 from a4agent.runs.bench import Bench, Selection
 from a4agent.runs.store import Run
-from a4agent.runs.tables import FORMS, Cell, Filled, Line, fill, group_of
+from a4agent.runs.tables import FORMS, Cell, Filled, TableLine, fill, group_of
 
 MakeBench = Callable[..., Bench]
 
@@ -119,7 +119,7 @@ TABLE = Filled(
     "A & B",
     ("gIoU", "cIoU"),
     2,
-    (Line("50% of_it|", (Cell(12.345), Cell(None))), Line("ours", (Cell(50.0, 2.34), Cell(1.0)), "ours")),
+    (TableLine("50% of_it|", (Cell(12.345), Cell(None))), TableLine("ours", (Cell(50.0, 2.34), Cell(1.0)), "ours")),
     ("10% left out",),
 )
 

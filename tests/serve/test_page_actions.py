@@ -17,7 +17,7 @@ from a4agent.config import Settings, load_settings, profile_names
 from a4agent.errors import CredentialError, InputError, UnknownNameError, UnreadableAnswer
 from a4agent.requirements import Missing
 from a4agent.serve.page_actions import Profiles, Visit, _finished, _picture, _stages, read_upload, sentence
-from a4agent.serve.page_views import Progress
+from a4agent.serve.page_views import StageProgress
 from a4agent.stages.spotter import Spotter
 from a4agent.stages.thinker import Thinker
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, output, scripted_agent
@@ -258,7 +258,7 @@ def test_only_answers_offer_their_mask(status: str, files: int, tmp_path: Path) 
     affordance = Affordance(
         "open it", (80, 60), regions=(region,), status=status, error="x: it failed", image=PICTURE, confidence=0.3
     )  # type: ignore[arg-type]
-    progress = Progress(PICTURE, "open it", dreams=False, thinks=True, verifies=True, affordance=affordance)
+    progress = StageProgress(PICTURE, "open it", dreams=False, thinks=True, verifies=True, affordance=affordance)
     message, *_, json_file, picture_file, mask_file = _finished(progress, affordance, tmp_path)
     assert [file["visible"] for file in (json_file, picture_file, mask_file)].count(True) == files
     assert mask_file["visible"] == (status in ("ok", "abstained"))

@@ -14,7 +14,7 @@ from PIL import Image
 
 from a4agent.imaging import overlay
 from a4agent.serve import page_views
-from a4agent.serve.page_views import Progress
+from a4agent.serve.page_views import StageProgress
 from a4agent.types import Affordance, Check, Detection, Imagination, Region, Step, Target, Trace
 
 PHOTO = Image.new("RGB", (80, 60), (90, 120, 150))
@@ -36,7 +36,7 @@ def states(page: str) -> list[str]:
 
 
 def test_the_stages_fill_in_one_after_the_other() -> None:
-    progress = Progress(PHOTO, "open", dreams=True, thinks=True)
+    progress = StageProgress(PHOTO, "open", dreams=True, thinks=True)
     assert states(page_views.stages(None)) == ["waiting"] * 4
     assert states(page_views.stages(progress)) == ["working", "waiting", "waiting", "off"]
     progress = progress.after("step", (12, 30), 1.0)
@@ -55,9 +55,11 @@ def test_the_stages_fill_in_one_after_the_other() -> None:
 
 
 def test_stages_that_a_profile_lacks_or_that_were_never_reached_are_off() -> None:
-    bare = Progress(PHOTO, "the knob", dreams=False, thinks=False)
+    bare = StageProgress(PHOTO, "the knob", dreams=False, thinks=False)
     assert states(page_views.stages(bare)) == ["off", "off", "working", "off"]
-    failed = Progress(PHOTO, "open", dreams=True, thinks=True).after("affordance", answer("error", regions=()), 1.0)
+    failed = StageProgress(PHOTO, "open", dreams=True, thinks=True).after(
+        "affordance", answer("error", regions=()), 1.0
+    )
     assert states(page_views.stages(failed)) == ["off", "waiting", "waiting", "off"]
 
 
@@ -66,14 +68,14 @@ def layers(page: str) -> list[Image.Image]:
 
 
 def test_fading_the_tint_is_drawing_with_that_opacity() -> None:
-    progress = Progress(PHOTO, "open", True, True).after("affordance", answer(), 1.0)
+    progress = StageProgress(PHOTO, "open", True, True).after("affordance", answer(), 1.0)
     plain, tint = (np.asarray(layer, float) for layer in layers(page_views.picture(progress)))
     expected = np.asarray(overlay.draw(PHOTO, answer().regions, opacity=0.4), float)
     assert np.abs(0.6 * plain + 0.4 * tint - expected).mean() < 3  # JPEG, and the outline's anti-aliasing
 
 
 def test_boxes_are_shown_before_the_mask_and_without_a_tint() -> None:
-    progress = Progress(PHOTO, "open", True, True)
+    progress = StageProgress(PHOTO, "open", True, True)
     before = page_views.picture(progress)
     after = page_views.picture(progress.after("detection", FOUND, 1.0))
     assert len(layers(before)) == len(layers(after)) == 1
@@ -92,7 +94,7 @@ def test_no_text_of_a_model_or_a_person_reaches_the_page_as_it_is() -> None:
     def page(words: str) -> str:
         hostile = Target(words, words, words, words)
         affordance = answer(target=hostile, error=words, trace=Trace((Step("thinker", "vlm", words, error=words),)))
-        progress = Progress(PHOTO, words, True, True).after("imagination", Imagination(words, None), 1.0)
+        progress = StageProgress(PHOTO, words, True, True).after("imagination", Imagination(words, None), 1.0)
         progress = progress.after("target", hostile, 1.0).after("affordance", affordance, 2.0)
         parts = (page_views.stages(progress), page_views.picture(progress), page_views.timings(affordance))
         rows = page_views.profile_rows([(words, words, [(words, words)])])
@@ -125,7 +127,7 @@ def test_a_profile_that_does_not_work_here_cannot_be_chosen(missing: list[tuple[
 
 def test_the_reason_of_a_failure_is_not_said_again_below_the_picture() -> None:
     failed = answer("invalid", regions=(), target=None, error="UnreadableAnswer: a poem")
-    page = page_views.picture(Progress(PHOTO, "open", True, True).after("affordance", failed, 1.0))
+    page = page_views.picture(StageProgress(PHOTO, "open", True, True).after("affordance", failed, 1.0))
     assert "<figcaption>open</figcaption>" in page
     assert "poem" not in page
 
@@ -148,7 +150,7 @@ def test_the_confidence_is_said_in_words(status: str, confidence: float | None, 
 def test_a_guess_looks_like_one_and_names_its_checks() -> None:
     checks = (Check("geometry", 0.2, "the mask leaves its box"), Check("agreement", None, "not measured"))
     guess = answer("abstained", confidence=0.31, checks=checks)
-    progress = Progress(PHOTO, "open", False, True, verifies=True).after("affordance", guess, 1.0)
+    progress = StageProgress(PHOTO, "open", False, True, verifies=True).after("affordance", guess, 1.0)
     assert 'data-state="guess"' in page_views.picture(progress)
     page = page_views.stages(progress)
     assert "unsure (0.31): shown as a guess" in page

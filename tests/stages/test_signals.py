@@ -13,8 +13,8 @@ from a4agent.stages.recorder import Recorder
 from a4agent.stages.signals import (
     Crop,
     Evidence,
-    Geometry,
     ImaginedChange,
+    MaskGeometry,
     Mirror,
     PredictedIou,
     Rewording,
@@ -63,17 +63,17 @@ def test_geometry_of_an_answer_that_fits_and_of_one_that_does_not() -> None:
     mask = np.zeros((60, 80), bool)
     mask[20:40, 50:60] = True
     fits = evidence()
-    good = {c.name: c.value for c in Geometry().measure(fits)}
+    good = {c.name: c.value for c in MaskGeometry().measure(fits)}
     assert good == {"point_in_mask": None, "mask_in_box": 1.0, "plausible_area": 1.0}
     odd = region(mask, box=[50, 20, 70, 60], points=[[55, 30], [5, 5], [80, 60], [50, 20]])
     answer = Affordance("x", (80, 60), regions=(odd,), image=PHOTO)
-    checks = Geometry().measure(Evidence(answer, fits.spotter, Recorder()))
+    checks = MaskGeometry().measure(Evidence(answer, fits.spotter, Recorder()))
     assert [round(c.value or 0.0, 4) for c in checks] == [0.5, 0.25, 1.0]
     assert [c.blame for c in checks] == ["spotter"] * 3
     whole = Affordance("x", (80, 60), regions=(region(np.ones((60, 80), bool)),), image=PHOTO)
-    assert Geometry().measure(Evidence(whole, fits.spotter, Recorder()))[2].value == 0.0
+    assert MaskGeometry().measure(Evidence(whole, fits.spotter, Recorder()))[2].value == 0.0
     dot = Affordance("x", (800, 600), regions=(region(np.arange(480_000).reshape(600, 800) < 24),), image=PHOTO)
-    assert Geometry().measure(Evidence(dot, fits.spotter, Recorder()))[2].value == pytest.approx(0.1)
+    assert MaskGeometry().measure(Evidence(dot, fits.spotter, Recorder()))[2].value == pytest.approx(0.1)
 
 
 def test_scores_are_the_models_own() -> None:
@@ -222,4 +222,4 @@ def test_scores_outside_0_to_1_are_clipped() -> None:
 def test_a_box_without_a_mask_does_not_fit() -> None:
     blank = region(np.zeros((60, 80), bool), box=[0, 0, 9, 9])
     seen = Evidence(Affordance("x", (80, 60), regions=(blank,), image=PHOTO), evidence().spotter, Recorder())
-    assert {c.name: c.value for c in Geometry().measure(seen)}["mask_in_box"] == 0.0
+    assert {c.name: c.value for c in MaskGeometry().measure(seen)}["mask_in_box"] == 0.0

@@ -12,7 +12,7 @@ from a4agent.config import VerifierSettings
 from a4agent.errors import BudgetExceeded, ConfigError, CredentialError, ProviderUnavailable
 from a4agent.stages.calibration import Calibration
 from a4agent.stages.review import Review
-from a4agent.stages.signals import Geometry, Mirror
+from a4agent.stages.signals import MaskGeometry, Mirror
 from a4agent.stages.spotter import Spotter
 from a4agent.stages.verifier import Verdict, Verifier
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter
@@ -77,7 +77,7 @@ def test_accept_is_the_least_confidence_taken(confidence: float | None, accepted
 
 def test_a_signal_without_its_expert_names_the_setting() -> None:
     with pytest.raises(ConfigError, match=r"'review'.*verifier\.vlm"):
-        Verifier((Geometry(), Review()))
+        Verifier((MaskGeometry(), Review()))
 
 
 def test_only_checks_that_blame_a_stage_are_worst() -> None:

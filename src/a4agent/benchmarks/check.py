@@ -25,7 +25,7 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class Check:
+class DataCheck:
     """What `check` found. `other_size` counts masks whose size is not their picture's (they are scored as they are)."""
 
     rows: int
@@ -49,7 +49,7 @@ class Check:
         return asdict(self) | {"ok": self.ok}
 
 
-def check(benchmark: Benchmark, on_sample: Callable[[int], None] | None = None) -> Check:
+def check(benchmark: Benchmark, on_sample: Callable[[int], None] | None = None) -> DataCheck:
     """Read all of a benchmark, one sample at a time. `on_sample` hears the number of each that is done."""
     problems: list[Problem] = []
     categories: Counter[str] = Counter()
@@ -80,7 +80,7 @@ def check(benchmark: Benchmark, on_sample: Callable[[int], None] | None = None) 
             readable += size_wh is not None
         if on_sample:
             on_sample(number)
-    return Check(
+    return DataCheck(
         len(benchmark), benchmark.expected, readable, empty, other_size, tuple(problems), dict(categories.most_common())
     )
 

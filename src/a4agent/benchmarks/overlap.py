@@ -1,7 +1,7 @@
 """Which pictures do two sets share? Found by perceptual hash, so also after scaling, recompressing or recolouring.
 
     left, right = hash_images(photos), hash_images(others)     # {"mug.jpg": 64-bit hash, ...}
-    shared(left, right)            -> [Pair("mug.jpg", "tools/0042.png", distance=2), ...]
+    shared(left, right)            -> [SharedImage("mug.jpg", "tools/0042.png", distance=2), ...]
 
 A hash is 64 bits: the signs of the low frequencies of a small grey picture (pHash). Pictures that differ in at most
 NEAR bits are taken for the same one. Cropped or mirrored copies are not found.
@@ -27,7 +27,7 @@ SIDE, KEPT = 32, 8
 
 
 @dataclass(frozen=True)
-class Pair:
+class SharedImage:
     """Two names of what is taken for one picture; `distance` is in bits."""
 
     left: str
@@ -62,16 +62,16 @@ def hash_images(
     return hashes, problems
 
 
-def shared(left: Mapping[str, int], right: Mapping[str, int], near: int = NEAR) -> list[Pair]:
+def shared(left: Mapping[str, int], right: Mapping[str, int], near: int = NEAR) -> list[SharedImage]:
     """The pairs whose hashes differ in at most `near` bits, the nearest first."""
     if not left or not right:
         return []
     names = list(right)
     others = np.array([right[name] for name in names], np.uint64)
-    found: list[Pair] = []
+    found: list[SharedImage] = []
     for name, value in left.items():
         distances = _bits(others ^ np.uint64(value))
-        found += [Pair(name, names[i], int(distances[i])) for i in np.flatnonzero(distances <= near)]
+        found += [SharedImage(name, names[i], int(distances[i])) for i in np.flatnonzero(distances <= near)]
     return sorted(found, key=lambda pair: (pair.distance, pair.left, pair.right))
 
 

@@ -65,7 +65,7 @@ def create_handal_hard(path: str | Path) -> Benchmark:
 
 
 @dataclass(frozen=True)
-class _Row:
+class _PickledRow:
     number: int  # in the pickle, so that ids stay when a row is left out
     frame: str
     mask: str
@@ -96,14 +96,14 @@ def _open(name: str, path: str | Path, pickle_name: str, expected: int, licence:
     )
 
 
-def _rows(path: Path) -> list[_Row]:
+def _rows(path: Path) -> list[_PickledRow]:
     value = pickles.load(path)
     if not isinstance(value, list):
         raise DataError(f"{str(path)!r} holds a {type(value).__name__}, not a list of questions")
-    rows: list[_Row] = []
+    rows: list[_PickledRow] = []
     for number, entry in enumerate(cast("list[Any]", value)):
         try:
-            row = _Row(
+            row = _PickledRow(
                 number=number,
                 frame=_beside(_text(entry, "frame_path")),
                 mask=_beside(_text(entry, "mask_path")),
@@ -130,7 +130,7 @@ def _beside(name: str) -> str:
     return name.removeprefix("./").removeprefix("data/")
 
 
-def _sample(root: Path, row: _Row) -> Sample:
+def _sample(root: Path, row: _PickledRow) -> Sample:
     return Sample(
         Query(files.row_id(row.number, row.frame), files.confined(root, row.frame), row.question),
         Truth(
@@ -143,7 +143,7 @@ def _sample(root: Path, row: _Row) -> Sample:
     )
 
 
-def _part(row: _Row) -> str:
+def _part(row: _PickledRow) -> str:
     """ "the handle of the hammer" from HANDAL's `X_000000_handle.png`; "" for 3DOI, which names no parts."""
     found = re.search(r"/mask_parts/.*_\d{6}_([a-z_]+)\.png$", row.mask)
     return f"the {found[1].replace('_', ' ')} of the {row.object_class}" if found else ""

@@ -54,7 +54,7 @@ RULES = {
 """The instruction of each rule."""
 
 
-class _Row(NamedTuple):
+class _ToolQuestion(NamedTuple):
     tool: str
     number: int
     affordance: str
@@ -122,7 +122,7 @@ def truth_mask(gt_label: np.ndarray, affordance: str, rule: str) -> np.ndarray:
     return (rank > 0) & (255 * (highest - rank) >= 128 * highest)
 
 
-def _questions(tool: Path, rule: str) -> list[_Row]:
+def _questions(tool: Path, rule: str) -> list[_ToolQuestion]:
     """The questions about one tool: its frames by the rule, times its category's two affordances."""
     pattern = re.compile(re.escape(tool.name) + r"_(\d{8})_rgb\.jpg")
     numbers = sorted(int(found[1]) for file in tool.iterdir() if (found := pattern.fullmatch(file.name)))
@@ -131,10 +131,10 @@ def _questions(tool: Path, rule: str) -> list[_Row]:
     if asked is None:
         return []
     kept = numbers[2::30] if rule == "a4" else [number for number in numbers if number % 30 == 1]
-    return [_Row(tool.name, number, affordance) for number in kept for affordance in (asked, "grasp")]
+    return [_ToolQuestion(tool.name, number, affordance) for number in kept for affordance in (asked, "grasp")]
 
 
-def _sample(root: Path, row: _Row, rule: str) -> Sample:
+def _sample(root: Path, row: _ToolQuestion, rule: str) -> Sample:
     instruction = RULES[rule].format(category=row.category, affordance=row.affordance)
     return Sample(
         Query(
@@ -151,7 +151,7 @@ def _sample(root: Path, row: _Row, rule: str) -> Sample:
     )
 
 
-def _mask(root: Path, row: _Row, rule: str) -> np.ndarray:
+def _mask(root: Path, row: _ToolQuestion, rule: str) -> np.ndarray:
     from scipy.io import loadmat
 
     path = files.confined(root, f"{row.frame}_label_rank.mat")

@@ -15,7 +15,7 @@ from a4agent.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
     from a4agent.benchmarks.base import Benchmark
-    from a4agent.benchmarks.check import Check
+    from a4agent.benchmarks.check import DataCheck
 
 app = typer.Typer(no_args_is_help=True, help="Check benchmark data, list what it asks, or make some.")
 app.command("make")(make)
@@ -143,7 +143,7 @@ def _written(image: Any, identity: str, folder: Path | None) -> Path:
     return path
 
 
-def _show(data: Benchmark, found: Check) -> None:
+def _show(data: Benchmark, found: DataCheck) -> None:
     expected = f" of {found.expected} published" if found.expected else ""
     options = "".join(f", {name} {value}" for name, value in data.options.items())
     theirs = data.published_protocol

@@ -14,7 +14,7 @@ from a4agent.errors import ConfigError
 
 if TYPE_CHECKING:
     from a4agent.metrics import Difference
-    from a4agent.runs.compare import Loss, Pair
+    from a4agent.runs.compare import Loss, RunPair
 
 SHOWN = 12
 RunsArgument = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run folders that `a4 bench` wrote.")]
@@ -127,7 +127,7 @@ def _announce(path: Path, show: bool) -> None:
         webbrowser.open(path.resolve().as_uri())
 
 
-def _show_pair(pair: Pair) -> None:
+def _show_pair(pair: RunPair) -> None:
     from a4agent.runs import scores
 
     result = pair.result

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from a4agent.benchmarks.base import Benchmark
     from a4agent.benchmarks.predictions import Predictions
     from a4agent.metrics import Scores
-    from a4agent.runs.external import Outcome
+    from a4agent.runs.external import ScoredSample
     from a4agent.runs.scores import Mean
     from a4agent.runs.trust import Trust
 
@@ -83,7 +83,7 @@ def score(
             )
             outcomes = list(outcomes_of(kept))
         else:
-            outcomes: list[Outcome] = []
+            outcomes: list[ScoredSample] = []
             for outcome in score_predictions(opened_data, masks, resize=resize):
                 outcomes.append(outcome)
                 advance()
@@ -137,7 +137,7 @@ def _check_names(data: Benchmark, masks: Predictions) -> None:
         )
 
 
-def _report_problems(outcomes: list[Outcome], masks: Predictions) -> None:
+def _report_problems(outcomes: list[ScoredSample], masks: Predictions) -> None:
     """Warn of what was not found, not asked for, or of another size; all are what a wrong file looks like."""
     from a4agent.runs.external import MISSING
 

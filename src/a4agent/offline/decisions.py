@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
-from a4agent.offline.knowledge import QUALIFIERS, Knowledge, Part, Thing, knowledge, stem
+from a4agent.offline.knowledge import QUALIFIERS, Knowledge, KnownPart, KnownThing, knowledge, stem
 from a4agent.offline.language import SENSES, Reading, Verb, read
 from a4agent.offline.noun_phrases import Noun
 from a4agent.offline.situation import BY_HAND, INSTEAD, Situation
@@ -60,7 +60,7 @@ def _with_its_looks(found: Decision, reading: Reading) -> Decision:
     return replace(found, part_name=f"{' '.join(noun.qualifiers)} {found.part_name}") if noun else found
 
 
-def _compared(found: Decision, seen: tuple[Thing, ...], missing: frozenset[str], know: Knowledge) -> Decision:
+def _compared(found: Decision, seen: tuple[KnownThing, ...], missing: frozenset[str], know: Knowledge) -> Decision:
     """The decision, saying so if the named thing is not among those in the picture."""
     thing = know.object_named(_without_qualifiers(found.object_name or ""))
     if thing is None or thing.kind not in missing:
@@ -119,7 +119,7 @@ class _Decider(Situation):
             return Decision(name, noun.name, why, self._action or "use")
         return None
 
-    def _handle_instead(self, noun: Noun, owner: Noun) -> Part | None:
+    def _handle_instead(self, noun: Noun, owner: Noun) -> KnownPart | None:
         """What moves a named part that a hand does not take itself: "open the door of the fridge"."""
         part = owner.thing.part_named(noun.part or "") if owner.thing else None
         opens = next((action for action in self._wanted_actions if action in ("open", "close")), None)
@@ -373,7 +373,7 @@ class _Decider(Situation):
         why = self._tool_for(action, thing, part)
         return decision(noun_of(thing), part, action, why)
 
-    def _tool_for(self, action: str, thing: Thing, part: Part) -> str:
+    def _tool_for(self, action: str, thing: KnownThing, part: KnownPart) -> str:
         return f"To {self._spoken(action)}, use the {part.name} of {with_article(thing.name)}."
 
     # ---- a thing that nobody knows
@@ -416,5 +416,5 @@ def _actions_on(noun: Noun, verb: Verb) -> tuple[str, ...]:
     return verb.actions
 
 
-def _affords(thing: Thing, verb: Verb) -> bool:
+def _affords(thing: KnownThing, verb: Verb) -> bool:
     return any(thing.part_for(action) for action in verb.actions)

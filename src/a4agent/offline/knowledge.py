@@ -51,7 +51,7 @@ QUALIFIERS = {
 
 
 @dataclass(frozen=True)
-class Part:
+class KnownPart:
     """`shape` says how to find it in a picture and `map` on which of the network's maps, if not its shape's usual one.
 
     Of two parts that afford an action the first wins.
@@ -65,7 +65,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Thing:
+class KnownThing:
     """An object: `uses` is what it is reached for when it is not named, action -> themes ("*": anything).
 
     `name` is what it is called in the sentence, `key` in knowledge.toml, and `kind` by the network.
@@ -74,12 +74,12 @@ class Thing:
     name: str
     also: tuple[str, ...]
     layout: Layout
-    parts: tuple[Part, ...]
+    parts: tuple[KnownPart, ...]
     uses: Mapping[str, tuple[str, ...]]
     key: str
     kind: str
 
-    def part_named(self, name: str) -> Part | None:
+    def part_named(self, name: str) -> KnownPart | None:
         """The part of this name or with this other name, in the singular or the plural."""
         for part in self.parts:
             if name == part.name or name in part.also:
@@ -87,7 +87,7 @@ class Thing:
         key = stem(name)
         return next((part for part in self.parts if key in [stem(known) for known in (part.name, *part.also)]), None)
 
-    def part_for(self, action: str) -> Part | None:
+    def part_for(self, action: str) -> KnownPart | None:
         """The first part that affords `action`."""
         return next((part for part in self.parts if action in part.affords), None)
 
@@ -114,7 +114,7 @@ class Mention(Generic[T]):
 class Knowledge:
     """The tables, and indices from stemmed phrases to what they name; `base_form` is a verb without its ending."""
 
-    objects: Mapping[str, Thing]
+    objects: Mapping[str, KnownThing]
     object_index: Mapping[tuple[str, ...], str]
     part_index: Mapping[tuple[str, ...], str]
     part_names: frozenset[str]
@@ -129,14 +129,14 @@ class Knowledge:
     nouns: frozenset[tuple[str, ...]]
     base_form: Mapping[tuple[str, ...], str]
 
-    def object_named(self, name: str) -> Thing | None:
+    def object_named(self, name: str) -> KnownThing | None:
         """The object of this name or with this other name."""
         known = self.object_index.get(tuple(words(name))) or self.object_index.get(stem(name))
         return self.objects[known] if known else None
 
-    def find_objects(self, words: Sequence[str]) -> list[Mention[Thing]]:
+    def find_objects(self, words: Sequence[str]) -> list[Mention[KnownThing]]:
         """Objects named in `words`, in order, under the names they have there."""
-        found: list[Mention[Thing]] = []
+        found: list[Mention[KnownThing]] = []
         for mention in find(words, self.object_index):
             thing, written = self.objects[mention.value], tuple(words[mention.start : mention.end])
             alike = (name for name in (thing.name, *thing.also) if stem(name) == stem(written))
@@ -214,14 +214,14 @@ def knowledge() -> Knowledge:
     )
 
 
-def _thing(name: str, row: Mapping[str, Any], table: Mapping[str, Any]) -> Thing:
+def _thing(name: str, row: Mapping[str, Any], table: Mapping[str, Any]) -> KnownThing:
     """An object with its own parts first, then its family's that it does not rename."""
     family = table["families"][row["family"]] if "family" in row else {}
     own = [_part(part, spec) for part, spec in row.get("parts", {}).items()]
     taken = {known for part in own for known in (part.name, *part.also)}
     shared = [_part(part, spec) for part, spec in family.get("parts", {}).items() if part not in taken]
     shared = [replace(part, also=tuple(known for known in part.also if known not in taken)) for part in shared]
-    return Thing(
+    return KnownThing(
         name=name,
         also=tuple(row.get("also", ())),
         layout=Layout(**table["layouts"][row.get("layout") or family.get("layout", "bottle")]),
@@ -232,8 +232,8 @@ def _thing(name: str, row: Mapping[str, Any], table: Mapping[str, Any]) -> Thing
     )
 
 
-def _part(name: str, row: Mapping[str, Any]) -> Part:
-    return Part(name, row["shape"], tuple(row["affords"]), tuple(row.get("also", ())), row.get("map"))
+def _part(name: str, row: Mapping[str, Any]) -> KnownPart:
+    return KnownPart(name, row["shape"], tuple(row["affords"]), tuple(row.get("also", ())), row.get("map"))
 
 
 _WORDS = re.compile(r"[a-z0-9]+(?:[-'][a-z0-9]+)*")

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from a4agent.offline.clauses import DEFINITE
-from a4agent.offline.knowledge import QUALIFIERS, Knowledge, Mention, Thing, stem
+from a4agent.offline.knowledge import QUALIFIERS, Knowledge, KnownThing, Mention, stem
 
 Role = Literal["object", "tool", "place", "goal", "owner", "aim"]
 
@@ -67,7 +67,7 @@ class Noun:
     start: int
     end: int
     role: Role = "object"
-    thing: Thing | None = None
+    thing: KnownThing | None = None
     part: str | None = None
     qualifiers: tuple[str, ...] = ()
     owner: Noun | None = None
@@ -257,7 +257,7 @@ def _named(
     return Noun(" ".join(kept[:4]), at, at + len(words), qualifiers=_qualifiers(words), definite=article)
 
 
-def _part_of(words: Sequence[str], thing: Mention[Thing], start: int, end: int, at: int) -> Noun:
+def _part_of(words: Sequence[str], thing: Mention[KnownThing], start: int, end: int, at: int) -> Noun:
     owner = Noun(thing.value.name, at, at + thing.end, thing=thing.value, qualifiers=_qualifiers(words[: thing.start]))
     text = " ".join(words[start:end])
     return Noun(text, at, at + end, part=text, owner=owner, definite=True)

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from a4agent.offline.decisions import decide
-from a4agent.offline.knowledge import QUALIFIERS, Thing, knowledge, stem, words
+from a4agent.offline.knowledge import QUALIFIERS, KnownThing, knowledge, stem, words
 from a4agent.offline.profile import Layout
 
 DEFAULT = Layout()
@@ -127,7 +127,7 @@ def wanted(phrase: str) -> Wanted:
     return Wanted(named, part=_PART_MAPS[named]) if named else Wanted("whole")
 
 
-def _qualifiers(said: Sequence[str], thing: Thing | None = None) -> dict[str, str]:
+def _qualifiers(said: Sequence[str], thing: KnownThing | None = None) -> dict[str, str]:
     """The first colour, side and size in the words before a name."""
     name = set(words(thing.name)) if thing else set[str]()
     found: dict[str, str] = {}
@@ -137,11 +137,11 @@ def _qualifiers(said: Sequence[str], thing: Thing | None = None) -> dict[str, st
     return found
 
 
-def _whole(thing: Thing) -> Wanted:
+def _whole(thing: KnownThing) -> Wanted:
     return Wanted("whole", thing.layout, object=thing.key, kind=thing.kind)
 
 
-def _for_action(verb: str, thing: Thing | None) -> Wanted:
+def _for_action(verb: str, thing: KnownThing | None) -> Wanted:
     """The part of a known thing that affords a verb; else the map that such a part is usually on."""
     actions = knowledge().action_index.get(stem(verb), (verb,))
     for action in actions if thing else ():
@@ -155,7 +155,7 @@ def _for_action(verb: str, thing: Thing | None) -> Wanted:
     return Wanted(shape, part=part_map, action=verb)
 
 
-def _part(name: str, thing: Thing | None) -> Wanted:
+def _part(name: str, thing: KnownThing | None) -> Wanted:
     """The shape of a part by its name, by the object's own parts first."""
     stems = stem(name)
     whole = _whole(thing) if thing else Wanted("whole")

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 REMEMBERED = 8
 
 
-class Scene:
+class Photograph:
     """`size_wh` of the photograph; `silhouette` of its main object, None if nothing stands out."""
 
     def __init__(self, rgb: np.ndarray, threads: int = 0) -> None:
@@ -83,11 +83,11 @@ class Scene:
         return self.silhouette.to_image(region, self.size_wh)
 
 
-_scenes: OrderedDict[tuple[bytes, int], Scene] = OrderedDict()
+_scenes: OrderedDict[tuple[bytes, int], Photograph] = OrderedDict()
 _lock = Lock()
 
 
-def scene_of(image: Image, threads: int = 0) -> Scene:
+def scene_of(image: Image, threads: int = 0) -> Photograph:
     """The analysis of an RGB image; the last REMEMBERED pictures are not analysed twice."""
     rgb = np.asarray(image.convert("RGB"), np.uint8)
     digest = hashlib.blake2b(rgb.tobytes(), person=f"{rgb.shape[1]}x{rgb.shape[0]}".encode()[:16]).digest()
@@ -96,7 +96,7 @@ def scene_of(image: Image, threads: int = 0) -> Scene:
         if key in _scenes:
             _scenes.move_to_end(key)
             return _scenes[key]
-    scene = Scene(rgb, threads)
+    scene = Photograph(rgb, threads)
     with _lock:
         _scenes[key] = scene
         while len(_scenes) > REMEMBERED:

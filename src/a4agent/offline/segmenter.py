@@ -13,7 +13,7 @@ import numpy as np
 from a4agent.errors import A4Error, require
 from a4agent.offline.colour import to_lab
 from a4agent.offline.revision import revision
-from a4agent.offline.scene import Scene, forget, scene_of
+from a4agent.offline.scene import Photograph, forget, scene_of
 from a4agent.offline.silhouette import cut_out
 from a4agent.protocols import ExpertBase, Prompt, Segmentation, SegmentRequest
 
@@ -40,7 +40,7 @@ class OfflineSegmenter(ExpertBase):
             masks[index, 0], scores[index, 0] = self._one(scene, prompt)
         return Segmentation(masks, scores)
 
-    def _one(self, scene: Scene, prompt: Prompt) -> tuple[np.ndarray, float]:
+    def _one(self, scene: Photograph, prompt: Prompt) -> tuple[np.ndarray, float]:
         """A mask (H, W) bool and how well it fits the prompt, 0..1."""
         region, fit = _best_region(scene, prompt)
         if region is not None and (fit >= FITS or prompt.box_xyxy is None):
@@ -49,7 +49,7 @@ class OfflineSegmenter(ExpertBase):
             return self._inside(scene, prompt.box_xyxy), 0.5
         return _patch(scene, prompt.points_xy), 0.3
 
-    def _inside(self, scene: Scene, box_xyxy: np.ndarray) -> np.ndarray:
+    def _inside(self, scene: Photograph, box_xyxy: np.ndarray) -> np.ndarray:
         """What stands out inside a box: of the main object, else by looking at the box alone."""
         width, height = scene.size_wh
         box = np.zeros((height, width), bool)
@@ -70,7 +70,7 @@ class OfflineSegmenter(ExpertBase):
         forget()
 
 
-def _best_region(scene: Scene, prompt: Prompt) -> tuple[np.ndarray | None, float]:
+def _best_region(scene: Photograph, prompt: Prompt) -> tuple[np.ndarray | None, float]:
     """The region that fits a prompt best: by its box, or the smallest around its points; all points inside it."""
     best, best_fit = None, 0.0
     for region in scene.candidates:
@@ -85,7 +85,7 @@ def _best_region(scene: Scene, prompt: Prompt) -> tuple[np.ndarray | None, float
     return best, best_fit
 
 
-def _share_inside(scene: Scene, region: np.ndarray, points_xy: np.ndarray) -> float:
+def _share_inside(scene: Photograph, region: np.ndarray, points_xy: np.ndarray) -> float:
     if not len(points_xy) or scene.silhouette is None:
         return 1.0
     x0, y0, x1, y1 = scene.silhouette.box_xyxy
@@ -104,7 +104,7 @@ def _overlap(a: np.ndarray, b: np.ndarray) -> float:
     return shared / union if union > 0 else 0.0
 
 
-def _patch(scene: Scene, points_xy: np.ndarray) -> np.ndarray:
+def _patch(scene: Photograph, points_xy: np.ndarray) -> np.ndarray:
     """The even-coloured patches (H, W) bool that points lie in."""
     cv2 = require("cv2", extra="offline")
     width, height = scene.size_wh

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from a4agent.offline.knowledge import Knowledge, Part, Thing, stem
+from a4agent.offline.knowledge import Knowledge, KnownPart, KnownThing, stem
 from a4agent.offline.language import Reading, Verb
 from a4agent.offline.noun_phrases import Noun
 
@@ -27,7 +27,7 @@ class Situation:
     """One sentence as read, the things in the picture, the likeliest first, and the knowledge base."""
 
     reading: Reading
-    seen: tuple[Thing, ...]
+    seen: tuple[KnownThing, ...]
     know: Knowledge
 
     def _has_tool(self) -> bool:
@@ -42,7 +42,7 @@ class Situation:
         return bool(after) and after[0] in {"is", "are", "was", "were", "feels", "looks", "seems"}
 
     @property
-    def _things(self) -> list[Thing]:
+    def _things(self) -> list[KnownThing]:
         return [noun.thing for noun in self.reading.nouns if noun.thing]
 
     @property
@@ -72,7 +72,7 @@ class Situation:
         near = [action for one in verb.actions[:2] for action in INSTEAD.get(one, ())]
         return (*(action for action in bare if action in BY_HAND), *near)
 
-    def _part(self, thing: Thing, action: str) -> Part | None:
+    def _part(self, thing: KnownThing, action: str) -> KnownPart | None:
         """The part that affords an action and is not ruled out; for a hand, any part that does not cut."""
         ruled_out = {stem(noun.part) for noun in self.reading.unwanted if noun.part}
         ruled_out_actions = (
@@ -100,7 +100,7 @@ class Situation:
     def _asks(self) -> bool:
         return bool({"where", "what", "which", "how"} & set(self.reading.words))
 
-    def _reached_for(self) -> tuple[Thing, str] | None:
+    def _reached_for(self) -> tuple[KnownThing, str] | None:
         """The tool for what is to be done, and the action: by verb and what it is done to, then by a wish."""
         if tool := self._named_by_verb():
             return tool
@@ -113,7 +113,7 @@ class Situation:
                         return self.know.objects[name], action
         return self._wished()
 
-    def _named_by_verb(self) -> tuple[Thing, str] | None:
+    def _named_by_verb(self) -> tuple[KnownThing, str] | None:
         """The tool that a verb is named after: "mop the floor", "ladle the soup"."""
         for verb in self.reading.verbs:
             word = verb.text.split()[0]
@@ -124,14 +124,14 @@ class Situation:
                     return thing, action
         return None
 
-    def _vessel(self) -> tuple[Thing, str] | None:
+    def _vessel(self) -> tuple[KnownThing, str] | None:
         """What a drink is in, when a hand takes it: "hold my coffee"."""
         if self._things or not any(set(verb.actions) & {"grasp", "drink"} for verb in self.reading.verbs[:1]):
             return None
         pairs = (pair for theme in self.know.find_themes(self.reading.words) for pair in theme.value)
         return next(((self.know.objects[name], "grasp") for action, name in pairs if action == "drink"), None)
 
-    def _by_verb_alone(self) -> tuple[Thing, str] | None:
+    def _by_verb_alone(self) -> tuple[KnownThing, str] | None:
         """What is reached for to do such a thing to anything."""
         for verb in self.reading.verbs:
             for action in verb.actions:
@@ -139,7 +139,7 @@ class Situation:
                     return self.know.objects[name], action
         return None
 
-    def _wished(self) -> tuple[Thing, str] | None:
+    def _wished(self) -> tuple[KnownThing, str] | None:
         """What helps someone who only says what is wrong: "the soup is cold". A verb still chooses the part."""
         for wish in self.know.wishes:
             if re.search(wish.says, self.reading.text):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from a4agent.offline.knowledge import Part, Thing
+from a4agent.offline.knowledge import KnownPart, KnownThing
 from a4agent.offline.language import Verb
 from a4agent.offline.noun_phrases import Noun
 
@@ -37,19 +37,19 @@ class Decision:
         return f"the {self.part_name} of the {self.object_name}"
 
 
-def noun_of(thing: Thing) -> Noun:
+def noun_of(thing: KnownThing) -> Noun:
     return Noun(thing.name, 0, 0, thing=thing)
 
 
-def decision(noun: Noun, part: Part, action: str, why: str) -> Decision:
+def decision(noun: Noun, part: KnownPart, action: str, why: str) -> Decision:
     return Decision(noun.name, part.name, why, action)
 
 
-def held(noun: Noun, part: Part) -> Decision:
+def held(noun: Noun, part: KnownPart) -> Decision:
     return decision(noun, part, "grasp", f"Hold the {noun.name} by {its(noun)} {part.name}.")
 
 
-def used_for(verb: Verb, noun: Noun, part: Part) -> str:
+def used_for(verb: Verb, noun: Noun, part: KnownPart) -> str:
     """Why this part, in the speaker's own verb."""
     if noun.role == "object" and noun.start == verb.end:
         return f"To {verb.base} the {noun.name}, use {its(noun)} {part.name}."

@@ -21,7 +21,7 @@ from a4agent.runs.store import Run
 
 
 @dataclass(frozen=True)
-class Line:
+class ComparedLine:
     """One measure of two runs and its paired change; `percent` marks shares of 1."""
 
     name: str
@@ -33,7 +33,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Pair:
+class RunPair:
     """Two runs: `changed` lists what their configurations differ in.
 
     `measures` are contact hits and what the benchmark adds, `trust` the confidences' figures where both runs have some.
@@ -43,13 +43,13 @@ class Pair:
     second: Run
     result: Comparison
     changed: tuple[str, ...]
-    measures: tuple[Line, ...] = ()
-    trust: tuple[Line, ...] = ()
+    measures: tuple[ComparedLine, ...] = ()
+    trust: tuple[ComparedLine, ...] = ()
 
-    def lines(self) -> list[Line]:
+    def lines(self) -> list[ComparedLine]:
         """All measures that are defined, the masks' first."""
         masks = [
-            Line(name, label, first, getattr(self.result.second, name), self.result.differences[name])
+            ComparedLine(name, label, first, getattr(self.result.second, name), self.result.differences[name])
             for name, label in metrics.MEASURES.items()
             if (first := getattr(self.result.first, name)) == first
         ]
@@ -65,7 +65,7 @@ class Loss:
     cost: Difference | None
 
 
-def compare(first: Run, second: Run, protocol: str | None = None) -> Pair:
+def compare(first: Run, second: Run, protocol: str | None = None) -> RunPair:
     """Two runs on their shared samples, by the first one's protocol unless another is named.
 
     Raises:
@@ -83,14 +83,14 @@ def compare(first: Run, second: Run, protocol: str | None = None) -> Pair:
             found.update(settings=None, experts=None, prompts=None, system=run.manifest.label)
     changed = differences(configurations[0], configurations[1])
     measures = [
-        Line(name, scores.measure_name(name), one.value, two.value, change, name == "contact")
+        ComparedLine(name, scores.measure_name(name), one.value, two.value, change, name == "contact")
         for name, (one, two, change) in scores.measure_changes(first, second).items()
     ]
     figures = [
-        Line(name, trust.MEASURES[name], *values, change)
+        ComparedLine(name, trust.MEASURES[name], *values, change)
         for name, (values, change) in (trust.compare(first, second) or {}).items()
     ]
-    return Pair(first, second, result, tuple(changed), tuple(measures), tuple(figures))
+    return RunPair(first, second, result, tuple(changed), tuple(measures), tuple(figures))
 
 
 def _same_truths(first: Run, second: Run, result: Comparison) -> None:
@@ -133,7 +133,7 @@ def losses(runs: Sequence[Run], protocol: str | None = None) -> list[list[Loss]]
     return tables
 
 
-def to_dict(pairs: Sequence[Pair], tables: Sequence[Sequence[Loss]]) -> dict[str, Any]:
+def to_dict(pairs: Sequence[RunPair], tables: Sequence[Sequence[Loss]]) -> dict[str, Any]:
     """Ready for `json.dumps`."""
     return {
         "pairs": [

@@ -32,7 +32,7 @@ LARGEST_FACTOR = 4.0
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ScoredSample:
     """One sample: its row, and why it failed (`MISSING`, or the reader's message; "" if it did not)."""
 
     id: str
@@ -43,7 +43,7 @@ class Outcome:
 
 def score_predictions(
     benchmark: Benchmark, predictions: Predictions, workers: int | None = None, *, resize: bool = False
-) -> Iterator[Outcome]:
+) -> Iterator[ScoredSample]:
     """The outcome of every sample, in order; a prediction that is missing or unreadable is a failed sample.
 
     Only as many masks as there are `workers` (None: one a core) are in memory at a time.
@@ -53,10 +53,10 @@ def score_predictions(
             prediction's size differs from the truth's by more than `LARGEST_FACTOR`.
     """
 
-    def outcome(sample: Sample) -> Outcome:
+    def outcome(sample: Sample) -> ScoredSample:
         truths = sample.truth.masks()
         mask, problem = _predicted(sample, predictions, truths[0].shape, resize)
-        return Outcome(sample.id, sample.truth.category or "none", metrics.measure_best(mask, truths)[0], problem)
+        return ScoredSample(sample.id, sample.truth.category or "none", metrics.measure_best(mask, truths)[0], problem)
 
     return ordered_map(outcome, benchmark, workers)
 
@@ -112,10 +112,10 @@ def write_run(
     return read_run(folder)
 
 
-def outcomes_of(run: Run) -> Iterable[Outcome]:
+def outcomes_of(run: Run) -> Iterable[ScoredSample]:
     """The outcomes that `write_run` kept."""
     for record in run.records.values():
-        yield Outcome(record.id, record.category or "none", record.scored, record.row["error"] or "")
+        yield ScoredSample(record.id, record.category or "none", record.scored, record.row["error"] or "")
 
 
 def _answer(sample: Sample, mask: np.ndarray | None, problem: str) -> Affordance:

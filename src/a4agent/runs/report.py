@@ -26,7 +26,7 @@ from a4agent.imaging.load import load_image
 from a4agent.imaging.masks import decode_rle
 from a4agent.redaction import redact
 from a4agent.runs import published, scores, trust
-from a4agent.runs.compare import Pair
+from a4agent.runs.compare import RunPair
 from a4agent.runs.manifest import LEAKS
 from a4agent.runs.store import PICTURE_SIDE, STATUSES, Record, Run, write_atomically
 from a4agent.runs.tables import group_of
@@ -82,7 +82,7 @@ def render(run: Run) -> str:
     )
 
 
-def write_comparison(pair: Pair, path: Path) -> Path:
+def write_comparison(pair: RunPair, path: Path) -> Path:
     """Write two runs side by side as one page; returns its path.
 
     Raises:
@@ -92,7 +92,7 @@ def write_comparison(pair: Pair, path: Path) -> Path:
     return path
 
 
-def render_comparison(pair: Pair) -> str:
+def render_comparison(pair: RunPair) -> str:
     """The page as text: the paired changes, and both answers to each sample whose IoU crossed 0.5."""
     runs = (pair.first, pair.second)
     crossed = sorted(

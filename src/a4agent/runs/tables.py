@@ -38,7 +38,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Line:
+class TableLine:
     """One row of a table. `source` is "published", "ours", or "scored here": another system's masks, our scores.
 
     `group` is one of `published.GROUPS`; rows of different groups are never in one ranking.
@@ -57,7 +57,7 @@ class Filled:
     title: str
     columns: tuple[str, ...]
     decimals: int
-    lines: tuple[Line, ...]
+    lines: tuple[TableLine, ...]
     notes: tuple[str, ...]
 
     def render(self, form: Form) -> str:
@@ -89,11 +89,11 @@ def fill(runs: Sequence[Run], key: str | None = None) -> list[Filled]:
 
 def _filled(table: Table, runs: Sequence[Run]) -> Filled:
     theirs = [
-        Line(name, tuple(Cell(value) for value in values), group=table.group(name))
+        TableLine(name, tuple(Cell(value) for value in values), group=table.group(name))
         for name, values in table.rows.items()
     ]
     ours = [
-        Line(
+        TableLine(
             name,
             tuple(_cell(run_of.get(column.benchmark), column.measure) for column in table.columns),
             source,
@@ -112,7 +112,7 @@ def _filled(table: Table, runs: Sequence[Run]) -> Filled:
 
 def _alone(benchmark: str, runs: Sequence[Run]) -> Filled:
     lines = [
-        Line(
+        TableLine(
             name,
             tuple(_cell(run_of[benchmark], measure) for measure in metrics.MEASURES),
             source,
@@ -136,7 +136,7 @@ def group_of(runs: Sequence[Run], table: Table | None = None, name: str = "") ->
     return "training-free" if declared or not any(run.external for run in runs) else "undeclared"
 
 
-def _grouped(lines: Iterable[Line]) -> tuple[Line, ...]:
+def _grouped(lines: Iterable[TableLine]) -> tuple[TableLine, ...]:
     order = list(published.GROUPS)
     return tuple(sorted(lines, key=lambda line: order.index(line.group)))
 
@@ -175,10 +175,10 @@ def _label(run: Run, names: Container[str]) -> str:
     return next((label for label in run.manifest.labels if label in names), run.manifest.label)
 
 
-def _beside(theirs: Sequence[Line], ours: Sequence[Line]) -> list[Line]:
+def _beside(theirs: Sequence[TableLine], ours: Sequence[TableLine]) -> list[TableLine]:
     """Each of our rows below the published row of its name, the others at the end."""
     left = list(ours)
-    lines: list[Line] = []
+    lines: list[TableLine] = []
     for line in theirs:
         lines.append(line)
         same = [own for own in left if own.name == line.name or (own.name == "paper" and line.name == OURS)]
@@ -238,7 +238,7 @@ def _number(cell: Cell, decimals: int, plus_minus: str) -> str:
     return text if cell.half_width is None else f"{text} {plus_minus} {cell.half_width:.1f}"
 
 
-def _with_headings(table: Filled) -> Iterable[tuple[Line, str]]:
+def _with_headings(table: Filled) -> Iterable[tuple[TableLine, str]]:
     """The lines, each with the heading to print above it: its group's name where one of several groups begins."""
     several = len({line.group for line in table.lines}) > 1
     before = ""

@@ -31,7 +31,7 @@ from a4agent.serve import messages
 from a4agent.serve.admission import STREAM_TYPE, Admission, JsonResponse, Limits, Refused
 from a4agent.serve.api_docs import DESCRIPTION, INDEX, batch_extra, errors, html_docs, one_extra
 from a4agent.serve.messages import BatchIn, MaskForm, PictureForm, TraceForm
-from a4agent.serve.predictions import Predictions, refusal
+from a4agent.serve.predictions import PredictionService, refusal
 from a4agent.serve.workers import Counters, Tell, Workers
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def create_app(
     limits = limits or Limits()
     counters = Counters()
     workers = Workers(agents, counters)
-    predictions = Predictions(workers, limits)
+    predictions = PredictionService(workers, limits)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None]:

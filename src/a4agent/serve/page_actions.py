@@ -18,7 +18,7 @@ from a4agent.imaging.load import load_image
 from a4agent.requirements import Missing
 from a4agent.serve import EXAMPLES_FOLDER, page_views
 from a4agent.serve.admission import read_below
-from a4agent.serve.page_views import Progress
+from a4agent.serve.page_views import StageProgress
 from a4agent.serve.workers import Cancelled
 from a4agent.types import Affordance
 
@@ -121,7 +121,7 @@ class Visit:
 
     async def run(self, photo: str | None, instruction: str, profile: str, dream: bool) -> AsyncGenerator[Update]:
         """Predict, with an update of the page after each stage. Every failure is a sentence on the page."""
-        progress: Progress | None = None
+        progress: StageProgress | None = None
         try:
             picture = await asyncio.to_thread(_picture, photo, instruction)
             for missing in await asyncio.to_thread(self._profiles.missing, profile):
@@ -130,7 +130,7 @@ class Visit:
             agent = await asyncio.to_thread(self._profiles.agent, profile)
             if not dream:
                 agent = replace(agent, dreamer=None)
-            progress = Progress(
+            progress = StageProgress(
                 picture,
                 instruction.strip(),
                 dreams=agent.dreamer is not None,
@@ -214,7 +214,7 @@ def read_upload(path: str) -> bytes:
         raise InputError(f"upload the photo on this page; files of the server are not read ({error})") from error
 
 
-def _finished(progress: Progress, affordance: Affordance, folder: Path) -> Update:
+def _finished(progress: StageProgress, affordance: Affordance, folder: Path) -> Update:
     affordance.save(folder)
     files = [folder / name for name in FILES_BY_STATUS.get(affordance.status, ())]
     return _update(_verdict(affordance), progress, files)
@@ -242,7 +242,7 @@ def sentence(words: str) -> str:
     return words[:1].upper() + words[1:] + ("" if ends else ".")
 
 
-def _update(message: str, progress: Progress | None, files: Sequence[Path] = (), *, redraw: bool = True) -> Update:
+def _update(message: str, progress: StageProgress | None, files: Sequence[Path] = (), *, redraw: bool = True) -> Update:
     import gradio as gr
 
     affordance = progress.affordance if progress else None

@@ -23,7 +23,7 @@ CERTAINTIES = ((0.9, "sure"), (0.7, "fairly sure"), (0.0, "not very sure"))
 
 
 @dataclass(frozen=True)
-class Progress:
+class StageProgress:
     """How far a prediction is. `seconds` are those since its begin at which each stage ended."""
 
     picture: Image
@@ -38,20 +38,20 @@ class Progress:
     painted: tuple[int, int] | None = None
     seconds: dict[str, float] = field(default_factory=dict)
 
-    def after(self, name: str, value: Any, seconds: float) -> Progress:
+    def after(self, name: str, value: Any, seconds: float) -> StageProgress:
         """With what a stage found."""
         if name == "step":
             return replace(self, painted=value)
         return replace(self, seconds={**self.seconds, name: seconds}, **{name: value})  # pyright: ignore[reportArgumentType]
 
 
-def stages(progress: Progress | None) -> str:
+def stages(progress: StageProgress | None) -> str:
     """The stages, as far as they are: how, what, where, and how sure."""
     cards = (_dreamer(progress), _thinker(progress), _spotter(progress), _verifier(progress))
     return f'<ol class="a4-stages">{"".join(cards)}</ol>'
 
 
-def picture(progress: Progress | None) -> str:
+def picture(progress: StageProgress | None) -> str:
     """The photo with what is known so far; the tint is a separate layer, which a slider fades."""
     if progress is None:
         return '<div class="a4-empty"><p>The answer appears here, over your photo.</p></div>'
@@ -129,7 +129,7 @@ def _profile(name: str, summary: str, missing: Sequence[tuple[str, str]]) -> str
     )
 
 
-def _dreamer(progress: Progress | None) -> str:
+def _dreamer(progress: StageProgress | None) -> str:
     title = "How <small>imagine the action</small>"
     if progress is None:
         return _card("waiting", title, "The Dreamer paints the action being done.")
@@ -145,7 +145,7 @@ def _dreamer(progress: Progress | None) -> str:
     return _card("done", title, body, progress.seconds.get("imagination"))
 
 
-def _thinker(progress: Progress | None) -> str:
+def _thinker(progress: StageProgress | None) -> str:
     title = "What <small>choose the part</small>"
     if progress is None:
         return _card("waiting", title, "The Thinker names the part to act on, and says why.")
@@ -160,7 +160,7 @@ def _thinker(progress: Progress | None) -> str:
     return _card("done", title, f'<p class="a4-part">{text(target.object_part)}</p>{why}', seconds)
 
 
-def _spotter(progress: Progress | None) -> str:
+def _spotter(progress: StageProgress | None) -> str:
     title = "Where <small>find it in the photo</small>"
     if progress is None:
         return _card("waiting", title, "The Spotter finds boxes and key points, then cuts out the mask.")
@@ -177,7 +177,7 @@ def _spotter(progress: Progress | None) -> str:
     return _card("done", title, f"<p>{words}</p>", seconds)
 
 
-def _verifier(progress: Progress | None) -> str:
+def _verifier(progress: StageProgress | None) -> str:
     title = "Sure? <small>check the mask</small>"
     if progress is None:
         return _card("waiting", title, "The Verifier says how likely the mask is right.")
@@ -210,17 +210,17 @@ def _card(state: State, title: str, body: str, seconds: float | None = None) -> 
     return f'<li class="a4-card" data-state="{state}"><h3><span>{title}</span>{time}</h3><div>{body}</div></li>'
 
 
-def _unfinished(progress: Progress) -> State:
+def _unfinished(progress: StageProgress) -> State:
     """A stage that has not answered: at work, or never reached because an earlier one failed."""
     return "off" if progress.affordance else "working"
 
 
-def _since(progress: Progress, name: str, *before: str) -> float | None:
+def _since(progress: StageProgress, name: str, *before: str) -> float | None:
     begin = next((progress.seconds[stage] for stage in before if stage in progress.seconds), 0.0)
     return progress.seconds[name] - begin if name in progress.seconds else None
 
 
-def _so_far(progress: Progress) -> Affordance:
+def _so_far(progress: StageProgress) -> Affordance:
     """What is known before the masks are: boxes and points on a blank mask."""
     width, height = progress.picture.size
     blank, found = np.zeros((height, width), bool), progress.detection

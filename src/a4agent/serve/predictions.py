@@ -25,7 +25,7 @@ KEEP_ALIVE_SECONDS = 15.0
 """A quiet stream sends a comment this often, so that proxies keep it open."""
 
 
-class Predictions:
+class PredictionService:
     """Reads questions, hands them to the workers and waits for the answers."""
 
     def __init__(self, workers: Workers, limits: Limits) -> None:

@@ -37,7 +37,7 @@ SIZES = ((0.003, "below 0.3 %"), (0.01, "0.3 to 1 %"), (0.04, "1 to 4 %"), (1.0,
 VISIBLE = ((0.7, "below 70 %"), (0.95, "70 to 95 %"), (1.0, "above 95 %"))
 
 
-class Row(BaseModel):
+class SceneRow(BaseModel):
     """A row of `samples.jsonl`, as far as it is read here; `a4agent.sim.make` says what the values mean."""
 
     id: str
@@ -117,16 +117,16 @@ def create(path: str | Path | None = None) -> Benchmark:
     )
 
 
-def read_rows(root: Path) -> list[Row]:
+def read_rows(root: Path) -> list[SceneRow]:
     """The rows of the set in the folder `root`.
 
     Raises:
         DataError: a row that `a4 data make sim` would not write; says which and what is wrong.
     """
-    rows: list[Row] = []
+    rows: list[SceneRow] = []
     for number, row in files.read_jsonl(root / "samples.jsonl"):
         try:
-            rows.append(Row.model_validate(row))
+            rows.append(SceneRow.model_validate(row))
         except ValidationError as error:
             wrong = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
             raise DataError(f"line {number} of {str(root / 'samples.jsonl')!r}: {wrong}; {SOURCE}") from error
@@ -174,7 +174,7 @@ class Geometry:
     pose: np.ndarray
 
 
-def read_geometry(root: Path, row: Row) -> Geometry:
+def read_geometry(root: Path, row: SceneRow) -> Geometry:
     """Depth and camera of one row of `samples.jsonl`.
 
     Raises:
@@ -184,7 +184,7 @@ def read_geometry(root: Path, row: Row) -> Geometry:
     return Geometry(depth, np.array(row.camera_matrix, np.float64), np.array(row.camera_pose, np.float64))
 
 
-def read_regions(root: Path, row: Row) -> tuple[np.ndarray, ...]:
+def read_regions(root: Path, row: SceneRow) -> tuple[np.ndarray, ...]:
     """The mask (H, W) bool of each part that the row asks for and that is seen, in the order of its `parts`.
 
     Raises:
@@ -194,7 +194,7 @@ def read_regions(root: Path, row: Row) -> tuple[np.ndarray, ...]:
     return tuple(numbers == number for number in row.region_numbers)
 
 
-def _sample(root: Path, row: Row) -> Sample:
+def _sample(root: Path, row: SceneRow) -> Sample:
     several = row.choose == "any" and len(row.region_numbers) > 1
     truth = Truth(
         load_mask=partial(_mask, root, row.mask),

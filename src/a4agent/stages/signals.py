@@ -77,7 +77,7 @@ class Signal(Protocol):
         ...
 
 
-class Geometry:
+class MaskGeometry:
     """Whether point, box and mask fit together and the mask has a plausible size. Asks nobody."""
 
     name: ClassVar[str] = "geometry"

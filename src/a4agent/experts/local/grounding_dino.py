@@ -16,7 +16,7 @@ import numpy as np
 from a4agent.experts.coordinates import UNIT, to_pixels
 from a4agent.experts.local.base import place
 from a4agent.experts.local.checkpoints import find_checkpoint
-from a4agent.experts.local.open_vocabulary import Candidates, OpenVocabularyDetector, Selection, centres, to_corners
+from a4agent.experts.local.open_vocabulary import BoxSelection, Candidates, OpenVocabularyDetector, centres, to_corners
 from a4agent.protocols import DetectRequest, Role
 
 THRESHOLD = 0.3
@@ -51,7 +51,7 @@ def create(
         ModelFilesError: no such checkpoint, or the hub cannot be reached.
         ConfigError: a setting has a value it does not take.
     """
-    selection = Selection(threshold, nms_iou, max_boxes)
+    selection = BoxSelection(threshold, nms_iou, max_boxes)
     placement = place(device, dtype)
     checkpoint = find_checkpoint(model, kinds=("grounding-dino",), revision=revision)
     return GroundingDino(f"grounding-dino:{model}", checkpoint, placement, selection, max_batch)
@@ -70,7 +70,7 @@ def create_mm(
     max_batch: int = 4,
 ) -> GroundingDino:
     """An MM-Grounding-DINO detector; settings and errors as for `create`."""
-    selection = Selection(threshold, nms_iou, max_boxes)
+    selection = BoxSelection(threshold, nms_iou, max_boxes)
     placement = place(device, dtype)
     checkpoint = find_checkpoint(model, kinds=("mm-grounding-dino",), revision=revision)
     return MMGroundingDino(f"mm-grounding-dino:{model}", checkpoint, placement, selection, max_batch)

@@ -20,7 +20,7 @@ from a4agent.types import Detection
 
 
 @dataclass(frozen=True)
-class Selection:
+class BoxSelection:
     """Which boxes are kept: score above `threshold`, at most `nms_iou` over a better one, the `max_boxes` best."""
 
     threshold: float
@@ -49,7 +49,7 @@ class OpenVocabularyDetector(LocalExpert):
     model_class = ""
 
     def __init__(
-        self, id: str, checkpoint: Checkpoint, placement: Placement, selection: Selection, max_batch: int = 4
+        self, id: str, checkpoint: Checkpoint, placement: Placement, selection: BoxSelection, max_batch: int = 4
     ) -> None:
         super().__init__(id, checkpoint, placement, settings=vars(selection), max_batch=max_batch)
         self._selection = selection

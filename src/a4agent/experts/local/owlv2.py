@@ -16,7 +16,7 @@ import numpy as np
 from a4agent.experts.coordinates import UNIT, to_pixels
 from a4agent.experts.local.base import place
 from a4agent.experts.local.checkpoints import find_checkpoint
-from a4agent.experts.local.open_vocabulary import Candidates, OpenVocabularyDetector, Selection, centres, to_corners
+from a4agent.experts.local.open_vocabulary import BoxSelection, Candidates, OpenVocabularyDetector, centres, to_corners
 from a4agent.protocols import DetectRequest, Role
 
 
@@ -50,7 +50,7 @@ def create(
         ModelFilesError: no such checkpoint, or the hub cannot be reached.
         ConfigError: a setting has a value it does not take.
     """
-    selection = Selection(threshold, nms_iou, max_boxes)
+    selection = BoxSelection(threshold, nms_iou, max_boxes)
     placement = place(device, dtype)
     checkpoint = find_checkpoint(model, kinds=("owlv2",), revision=revision)
     return Owlv2(f"owlv2:{model}", checkpoint, placement, selection, max_batch)
