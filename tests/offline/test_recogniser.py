@@ -105,6 +105,15 @@ def test_probabilities_add_up_also_beyond_the_edge() -> None:
     np.testing.assert_allclose(found.sum(1), 1, atol=1e-4)
 
 
+def test_a_crop_larger_than_pillow_allows_is_as_sure() -> None:
+    """Warnings are errors here, and Pillow warns of crops of over 89 megapixels."""
+    photo, box = load_image(COFFEE), np.array([70, 10, 480, 390], np.float32)
+    large = photo.resize((16 * photo.width, 16 * photo.height))
+    once, again = recognise(photo, around(box, 1.6)[None])[0], recognise(large, around(16 * box, 1.6)[None])[0]
+    assert again.argmax() == once.argmax()
+    assert again.max() == pytest.approx(once.max(), abs=0.1)
+
+
 def test_a_tiny_mask_is_looked_at_with_its_surroundings() -> None:
     assert around(np.array([10, 10, 12, 12], np.float32), 1.6).tolist() == [-13, -13, 35, 35]
     assert around(np.array([0, 0, 100, 50], np.float32), 2.0).tolist() == [-50, -75, 150, 125]

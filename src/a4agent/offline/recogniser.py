@@ -143,6 +143,9 @@ def _ends_alike(label: str, name: str) -> bool:
 
 
 def _cut(image: Image, box_xyxy: np.ndarray) -> Image:
+    shrink = int(box_xyxy[2] - box_xyxy[0]) // (4 * SIDE)
+    if shrink > 1:  # a crop takes its whole size in memory, and Pillow refuses very large ones
+        image, box_xyxy = image.reduce(shrink), box_xyxy / shrink
     return image.crop(tuple(int(edge) for edge in box_xyxy)).resize((SIDE, SIDE))  # type: ignore[arg-type]
 
 
