@@ -190,6 +190,18 @@ def test_a_missing_key_names_its_variable_before_anything_is_asked(monkeypatch):
         connect(None, base_url="http://127.0.0.1:9/v1", api_key_variable="MY_KEY")
 
 
+def test_another_place_in_the_environment_is_named_and_not_ignored(monkeypatch):
+    """Pictures went to OpenAI although OPENAI_BASE_URL named another server."""
+    monkeypatch.setenv("OPENAI_API_KEY", "x")
+    monkeypatch.setenv("OPENAI_BASE_URL", "http://127.0.0.1:9/v1/")
+    with pytest.raises(ConfigError, match=r"OPENAI_BASE_URL is 'http://127.0.0.1:9/v1'.*base_url"):
+        connect(None, model="gpt-4o")
+    assert connect(None, base_url="http://127.0.0.1:8/v1").base_url == "http://127.0.0.1:8/v1"
+    assert connect(None, base_url="https://api.openai.com/v1").server.name == "openai"
+    monkeypatch.setenv("OPENAI_BASE_URL", "https://api.openai.com/v1/")
+    assert connect(None, model="gpt-4o").base_url == "https://api.openai.com/v1"
+
+
 def test_a_vendors_key_is_not_sent_to_another_server(openai_server, monkeypatch):
     monkeypatch.setenv("OPENAI_API_KEY", "sk-secret")
     call(openai_server)

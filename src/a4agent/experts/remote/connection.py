@@ -119,7 +119,7 @@ class Connection:
 
     Raises:
         CredentialError: the server needs a key and the variable is not set.
-        ConfigError: `base_url` is missing or no address.
+        ConfigError: `base_url` is missing or no address, or OPENAI_BASE_URL names another one.
     """
 
     def __init__(
@@ -133,6 +133,8 @@ class Connection:
         self.server = find_server(server, base_url)
         self.base_url = (base_url or self.server.base_url).rstrip("/")
         _host_and_port(self.base_url)
+        if not base_url and self.server.name == "openai":
+            self._refuse_another_place(os.environ.get("OPENAI_BASE_URL", "").strip().rstrip("/"))
         remember_url(self.base_url)
         self._key_variable = api_key_variable or self.server.key_variable
         self._key = self._read_key(required=bool(api_key_variable) or self.server.key_required)
@@ -204,6 +206,19 @@ class Connection:
                     timeout=self._timeout,
                 )
             return self._client
+
+    def _refuse_another_place(self, wanted: str) -> None:
+        """Pictures must not go to OpenAI for somebody who believes that they go elsewhere.
+
+        The variable is not followed, because where answers come from is part of a run's settings.
+        """
+        if wanted and wanted != self.base_url:
+            remember_url(wanted)
+            raise ConfigError(
+                f"OPENAI_BASE_URL is {wanted!r}, but {self} goes by its settings: name the server with the expert's"
+                f" setting base_url = {wanted!r} (and the variable with its key with api_key_variable), or unset"
+                " OPENAI_BASE_URL"
+            )
 
     def _read_key(self, *, required: bool) -> Secret:
         name = self._key_variable
