@@ -6,7 +6,7 @@ import pytest
 
 from a4agent import requirements
 from a4agent.config import ExpertSettings, load_settings, profile_names
-from a4agent.errors import CredentialError, ModelFilesError, UnknownNameError
+from a4agent.errors import CredentialError, MissingExtraError, ModelFilesError, UnknownNameError
 from a4agent.experts import hub, registry
 
 
@@ -92,6 +92,33 @@ def test_check_passes_on_that_a_model_is_gated(monkeypatch):
     monkeypatch.setattr(hub, "reach", reach)
     with pytest.raises(CredentialError, match="facebook/sam3"):
         requirements.check({"spotter.segmenter": ExpertSettings(expert="sam3:facebook/sam3")})
+
+
+def test_check_names_extras_keys_and_models_at_once(monkeypatch):
+    """Once each, in the order in which they are of use, and without asking the hub."""
+    monkeypatch.setattr(hub, "reach", lambda *_: pytest.fail("the hub was asked"))
+    monkeypatch.delenv("OPENAI_API_KEY", raising=False)
+    no_torch = requirements.Extra(("no_such_module_at_all",), "")
+    monkeypatch.setattr(requirements, "EXTRAS", {**requirements.EXTRAS, "local": no_torch})
+    with pytest.raises(MissingExtraError) as caught:
+        requirements.check(load_settings("api").expert_specs())
+    first, *lines = str(caught.value).splitlines()
+    assert first == "3 things are missing here:"
+    fixes = [line.rpartition(": ")[2] for line in lines]
+    assert fixes == [
+        "pip install 'a4agent[local]'",
+        "export OPENAI_API_KEY=...",
+        "a4 models pull facebook/sam2.1-hiera-tiny",
+    ]
+    assert "openai:gpt-5.4, openai-images:gpt-image-2" in lines[1]
+
+
+def test_extras_are_those_of_the_experts_in_use():
+    assert requirements.extras_of(load_settings("paper").expert_specs()) == ["api", "local"]
+    assert requirements.extras_of(load_settings("offline").expert_specs()) == ["offline"]
+    assert "quantisation" in requirements.extras_of(load_settings("laptop").expert_specs())
+    own = {"expert": "vlm-grounding:qwen3-vl", "vlm": "openai:m"}
+    assert requirements.extras_of({"detector": ExpertSettings.model_validate(own)}) == ["api"]
 
 
 def test_check_returns_what_has_to_be_fetched(monkeypatch):

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, cast
 
-from a4agent.config import ExpertSettings, Settings, load_profile
+from a4agent.config import Settings, load_profile
 from a4agent.errors import A4Error, CredentialError, MissingExtraError, ModelFilesError
 from a4agent.experts import hub, registry
 from a4agent.files import read_package_toml
@@ -140,10 +140,17 @@ def check(experts: Mapping[str, Spec]) -> list[Need]:
     Asks the hub one small question a missing model, and nothing if none is missing.
 
     Raises:
+        MissingExtraError, CredentialError: an extra or a key is missing, and more beside it; the message names all.
         ModelFilesError: a model is not here and the hub cannot be reached; the message names all of them.
         CredentialError: a model is gated and this account has no access.
     """
-    missing = [one for one in needs(experts) if one.path is None]
+    checkpoints = needs(experts)
+    missing = [one for one in checkpoints if one.path is None]
+    extras, keys = _missing_extras(extras_of(experts)), _missing_keys(experts, checkpoints)
+    wanted = _once_a_fix([*extras, *keys, *map(_as_missing, missing)])
+    if (extras or keys) and len(wanted) > 1:  # what is missing alone is said in its own words
+        lines = "".join(f"\n  {one.what}: {one.fix}" for one in wanted)
+        raise (MissingExtraError if extras else CredentialError)(f"{len(wanted)} things are missing here:{lines}")
     failures: list[ModelFilesError | CredentialError] = []
     for one in missing:
         try:
@@ -158,6 +165,24 @@ def check(experts: Mapping[str, Spec]) -> list[Need]:
             f"{failures[0]}\n{len(missing)} models are missing; all of them: a4 models pull {names}"
         )
     return missing
+
+
+def extras_of(experts: Mapping[str, Spec]) -> list[str]:
+    """The extras behind experts and the experts inside them; nothing of those that are not ours."""
+    found: list[str] = []
+    for spec in experts.values():
+        found += _extras_of(spec.expert, spec.settings)
+    return [extra for extra in EXTRAS if extra in found]
+
+
+def _extras_of(spec: str, settings: Mapping[str, Any]) -> list[str]:
+    home = registry.factory_of(registry.split(spec)[0]).__module__
+    found = [extra for folder, extra in _EXTRA_OF_FOLDER.items() if f"{home}.".startswith(folder)]
+    if settings.get("quantisation"):
+        found.append("quantisation")
+    for inner_spec, inner_settings in registry.inner_experts(spec, settings).values():
+        found += _extras_of(inner_spec, inner_settings)
+    return found
 
 
 def _checkpoints_of(spec: str, settings: Mapping[str, Any]) -> list[tuple[str, str | None]]:
@@ -208,6 +233,11 @@ EXTRAS: Mapping[str, Extra] = {
     "sim": Extra(("mujoco",), "50 MB, and the asset packages"),
 }
 """The extras of pyproject.toml that a4 doctor looks for."""
+_EXTRA_OF_FOLDER = {
+    "a4agent.experts.remote.": "api",
+    "a4agent.experts.local.": "local",
+    "a4agent.offline.": "offline",
+}
 
 
 @dataclass(frozen=True)
@@ -235,28 +265,51 @@ def check_profile(name: str) -> list[Missing]:
 
 def check_settings(settings: Settings) -> list[Missing]:
     """The same for settings that are merged already."""
-    found = [
-        Missing(f"the extra {extra!r} ({', '.join(modules)})", f"pip install 'a4agent[{extra}]'")
-        for extra in settings.profile.needs
-        if (modules := missing_modules(extra))
-    ]
+    found = _missing_extras(settings.profile.needs)
     experts = settings.expert_specs()
     try:
         checkpoints = needs(experts)
     except A4Error as error:
         return [*found, Missing(str(error), "correct the profile or the --set that names it")]
-    for one in checkpoints:
-        if one.path is None:
-            size = f", {one.info.gigabytes:g} GB" if one.info.gigabytes else ""
-            found.append(Missing(f"the model {one.name}{size}", f"a4 models pull {one.reference}"))
+    found += _missing_keys(experts, checkpoints)
+    return _once_a_fix([*found, *(_as_missing(one) for one in checkpoints if one.path is None)])
+
+
+def _missing_extras(extras: Sequence[str]) -> list[Missing]:
+    return [
+        Missing(f"the extra {extra!r} ({', '.join(modules)})", f"pip install 'a4agent[{extra}]'")
+        for extra in extras
+        if (modules := missing_modules(extra))
+    ]
+
+
+def _missing_keys(experts: Mapping[str, Spec], checkpoints: Sequence[Need]) -> list[Missing]:
+    """Keys, and what else keeps experts without a checkpoint from being made."""
     with_checkpoints = {role for one in checkpoints for role in one.roles}
-    for role, spec in experts.items():
-        if role not in with_checkpoints:
-            found += _try_to_build(role, spec)
-    return list(dict.fromkeys(found))
+    return [one for role, spec in experts.items() if role not in with_checkpoints for one in _try_to_build(role, spec)]
 
 
-def _try_to_build(role: str, spec: ExpertSettings) -> list[Missing]:
+def _as_missing(need: Need) -> Missing:
+    size = f", {need.info.gigabytes:g} GB" if need.info.gigabytes else ""
+    return Missing(f"the model {need.name}{size}", f"a4 models pull {need.reference}")
+
+
+def _once_a_fix(found: Sequence[Missing]) -> list[Missing]:
+    """Each command once, with all that it gets: three experts may want the same key."""
+    by_fix: dict[str, list[str]] = {}
+    for one in found:
+        by_fix.setdefault(one.fix, []).append(one.what)
+    return [Missing(_joined(list(dict.fromkeys(whats))), fix) for fix, whats in by_fix.items()]
+
+
+def _joined(whats: list[str]) -> str:
+    """["a key for openai:a", "a key for openai:b"] -> "a key for openai:a, openai:b"; else the first tells enough."""
+    start = "a key for "
+    keys = [what.removeprefix(start) for what in whats if what.startswith(start)]
+    return start + ", ".join(keys) if keys else whats[0]
+
+
+def _try_to_build(role: str, spec: Spec) -> list[Missing]:
     """An expert without a checkpoint is quickly made, and says itself what it lacks: a key, a library."""
     try:
         registry.create(spec.expert, cast(Role, role.rpartition(".")[2]), spec.settings).close()
