@@ -54,6 +54,17 @@ def test_track_stops_at_a_limit_and_fails_when_all_is_lost(capsys: pytest.Captur
     assert "lost in 5 frames" in capsys.readouterr().err
 
 
+def test_track_replaces_nothing_unless_asked(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("track", "frames", "the handle", "--out", "out") == 0
+    first = Path("out/frames.jsonl").read_bytes()
+    assert run("track", "frames", "nothing", "--out", "out", "--limit", "1") == 1
+    assert Path("out/frames.jsonl").read_bytes() == first
+    assert "1 frame, " in capsys.readouterr().err
+    assert Path("out-2/overlay.mp4").exists()
+    assert run("track", "frames", "nothing", "--out", "out", "--limit", "1", "--overwrite") == 1
+    assert Path("out/frames.jsonl").read_bytes() != first
+
+
 def test_annotate_goes_on_where_it_stopped(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("annotate", "frames", "the handle", "--out", "out") == 0
     assert "5 frames in out/ (5 ok)" in capsys.readouterr().err

@@ -196,10 +196,10 @@ def name_results(sources: Sequence[Source]) -> dict[str, Source]:
     return {name_of[index]: source for index, source in enumerate(sources)}
 
 
-def free_folder(out: Path, name: str) -> Path:
-    """`out/name`, or `out/name-2`, `out/name-3`, ...: the first that holds no answer yet."""
+def free_folder(out: Path, name: str, holds: str = "affordance.json") -> Path:
+    """`out/name`, or `out/name-2`, `out/name-3`, ...: the first that does not hold that file yet."""
     for number in itertools.count(1):
         folder = out / (name if number == 1 else f"{name}-{number}")
-        if not (folder / "affordance.json").exists():
+        if not (folder / holds).exists():
             return folder
     raise AssertionError("count() does not end")

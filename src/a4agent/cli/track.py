@@ -12,6 +12,7 @@ import typer
 
 from a4agent.cli import common
 from a4agent.cli.common import ProfileOption, SetOption, say
+from a4agent.cli.sources import free_folder
 from a4agent.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,6 +33,9 @@ def track(
     every: Annotated[int | None, typer.Option(min=1, help="Ground again after this many frames in any case.")] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Stop after this many frames.")] = None,
     as_json: JsonOption = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace earlier results instead of writing OUT-2, OUT-3, ...")
+    ] = False,
 ) -> None:
     """Follow the part to act on through a video.
 
@@ -44,12 +48,13 @@ def track(
     from a4agent.video.trackers import create
 
     settings = common.settings(profile, sets)
-    make_folder(out)
     origins: Counter[str] = Counter()
     grounded: list[int] = []
     part = instruction
     started = time.monotonic()
     with open_frames(source) as frames, common.build_agent(settings) as agent:
+        out = out if overwrite else free_folder(out.parent, out.name, "frames.jsonl")
+        make_folder(out)
         expected = min(filter(None, (frames.count, limit)), default=None)
         video = OverlayVideo(out / "overlay.mp4", frames.rate)
         try:
@@ -78,9 +83,14 @@ def track(
     seconds = time.monotonic() - started
     total = sum(origins.values())
     shown = ", ".join(map(str, grounded[:10])) + (", ..." if len(grounded) > 10 else "")
-    say(f"{total} frames, {total / seconds:.1f} a second; grounded in frame {shown}; lost in {origins['lost']} frames")
+    rate = f"{_frames(total)}, {total / seconds:.1f} a second"
+    say(f"{rate}; grounded in {_frames(len(grounded))} ({shown}); lost in {_frames(origins['lost'])}")
     say(f"written to {out}/overlay.mp4 and frames.jsonl")
     raise typer.Exit(common.SOME_FAILED if origins["lost"] == total else common.OK)
+
+
+def _frames(count: int) -> str:
+    return f"{count} frame{'' if count == 1 else 's'}"
 
 
 def _record(found: FoundFrame) -> dict[str, object]:
