@@ -53,6 +53,25 @@ def test_it_names_the_command_for_what_is_not(
     assert "OPENAI_API_KEY" in said
 
 
+def test_columns_line_up_and_what_runs_here_comes_first(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    absent = requirements.Extra(("no_such_module_at_all",), "1 GB")
+    monkeypatch.setattr(
+        requirements, "EXTRAS", dict.fromkeys(requirements.EXTRAS, absent) | {"offline": requirements.EXTRAS["offline"]}
+    )
+    monkeypatch.setattr("a4agent.cli.doctor.EXTRAS", requirements.EXTRAS)
+    monkeypatch.delenv("OPENAI_API_KEY", raising=False)
+    with pytest.raises(SystemExit):
+        main(["doctor"])
+    blocks = {lines[0]: lines[1:] for lines in map(str.splitlines, capsys.readouterr().out.split("\n\n"))}
+    commands = [line for title in ("Extras", "Keys") for line in blocks[title] if line.startswith("  –")]
+    assert len({line.index(" pip " if " pip " in line else " export ") for line in commands}) == 1
+    assert len({line.index("1 GB") for line in blocks["Extras"] if "1 GB" in line}) == 1
+    assert blocks["Profiles"][0] == "  ✓ offline"
+    assert len({line.index("a4 profiles ") for line in blocks["Profiles"][1:]}) == 1
+
+
 def test_profiles_whose_model_is_about_to_go_say_so_without_a_key(capsys: pytest.CaptureFixture[str]) -> None:
     until = report(capsys)["profiles_until"]
     assert until == {name: {"openai:gpt-4o": "2027-01-14"} for name in ("authors", "paper", "without-dreamer")}

@@ -24,6 +24,13 @@ def test_all_profiles_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
         assert name in listed
 
 
+def test_what_runs_here_comes_first_and_memory_is_short(capsys: pytest.CaptureFixture[str]) -> None:
+    listed = said(capsys).splitlines()
+    assert listed[1].split()[:2] == ["●", "offline"]
+    assert "quantisation" not in "".join(listed)
+    assert "dreamer.editor.quantisation = 4bit" in said(capsys, "paper")
+
+
 def test_one_profile_shows_its_experts_and_what_is_missing(capsys: pytest.CaptureFixture[str]) -> None:
     shown = said(capsys, "paper")
     assert "openai:gpt-4o" in shown

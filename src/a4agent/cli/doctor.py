@@ -147,30 +147,32 @@ def _show(report: dict[str, Any]) -> None:
         for model, date in report["retiring"].items():
             console.print(f"  {bad} {escape(model)} on {escape(date)}; choose another with --set")
     console.print("\n[bold]Extras[/]")
-    wide = max(map(len, report["extras"]))
+    width = max(map(len, [*report["extras"], *report["profiles"]]))
+    wide = max(len(state["fix"]) for state in report["extras"].values())
     for extra, state in report["extras"].items():
         if not state["missing"]:
             console.print(f"  {good} {extra}")
         else:
-            console.print(f"  {bad} {extra:{wide}} [cyan]{escape(state['fix'])}[/]  [dim]{state['size']}[/]")
+            fix = f"{state['fix']:{wide}}"
+            console.print(f"  {bad} {extra:{width}} [cyan]{escape(fix)}[/]  [dim]{state['size']}[/]")
     console.print("\n[bold]Keys[/]")
     for name, there in report["keys"].items():
-        console.print(
-            f"  {good if there else bad} {name}{'' if there else '  [dim]not set: export ' + name + '=...[/]'}"
-        )
+        console.print(f"  {good} {name}" if there else f"  {bad} {name:{width}} [cyan]export {name}=...[/]")
     console.print("\n[bold]Simulator benchmark[/]")
     lacking = report["simulator"]
     console.print(f"  {bad} {escape(lacking)}" if lacking else f"  {good} assets and renderer")
     console.print("\n[bold]Profiles[/]")
-    width = max(map(len, report["profiles"]))
-    for name, missing in report["profiles"].items():
-        until = "".join(
-            f"  {escape(model)} ends {date}" for model, date in report["profiles_until"].get(name, {}).items()
-        )
+    counts = {name: _in_short(missing) for name, missing in report["profiles"].items() if missing}
+    long = max(map(len, counts.values()), default=0)
+    for name, missing in sorted(report["profiles"].items(), key=lambda row: bool(row[1])):
+        ends = report["profiles_until"].get(name, {})
+        until = "".join(f"  {escape(model)} ends {date}" for model, date in ends.items())
         if not missing:
             console.print(f"  {good} {name}{until}")
             continue
-        console.print(f"  {bad} {name:{width}} {_in_short(missing):32} [cyan]a4 profiles {name}[/]{until}")
+        console.print(
+            f"  {bad} {name:{width}} {counts[name]:{long}}  [cyan]a4 profiles {name:{width if until else 0}}[/]{until}"
+        )
 
 
 def _in_short(missing: list[dict[str, str]]) -> str:

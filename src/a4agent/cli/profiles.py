@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Annotated
 
 import typer
@@ -53,11 +54,15 @@ def _show_all(found: dict[str, Settings]) -> None:
     table.add_column("")
     table.add_column("profile", no_wrap=True)
     table.add_column("what", ratio=3)
-    table.add_column("memory", ratio=2, overflow="fold")
-    for name, settings in found.items():
-        here = not check_profile(name)
-        mark = "[green]●[/]" if here else "[dim]○[/]"
-        table.add_row(mark, f"[bold]{name}[/]" if here else name, settings.profile.summary, settings.profile.memory)
+    table.add_column("memory, about", ratio=2, overflow="fold")
+    runs_here = {name: not check_profile(name) for name in found}
+    for name in sorted(found, key=lambda name: not runs_here[name]):
+        info, here = found[name].profile, runs_here[name]
+        memory = (
+            re.split(r"[;(]", info.memory)[0].strip().removeprefix("about ")
+        )  # how to do with less is told by the profile's own page
+        mark, bold = ("[green]●[/]", f"[bold]{name}[/]") if here else ("[dim]○[/]", name)
+        table.add_row(mark, bold, info.summary, memory)
     console = Console(highlight=False, emoji=False)
     console.print(table)
     console.print("[dim]● runs here   ○ needs something first: `a4 profiles NAME` says what[/]")
