@@ -373,6 +373,34 @@ def test_print_keeps_histogram_bars_and_both_columns(run: Run, page: Any) -> Non
     assert not page.is_visible(".toolbar")
 
 
+def test_print_shows_every_sample_in_order(run: Run, page: Any) -> None:
+    """Cards beyond the first screen were left out, and their rows cut where a sheet ended."""
+    page.set_viewport_size({"width": 400, "height": 300})
+    page.goto(write_report(run).as_uri())
+    page.emulate_media(media="print")
+    boxes = page.evaluate(
+        "[...document.querySelectorAll('.sample')].map(card => [card.dataset.id, card.getBoundingClientRect().top])"
+    )
+    assert [name for name, _ in boxes] == page.evaluate("shown.map(sample => sample.id)")
+    assert len(boxes) == len(run.records)
+    assert boxes == sorted(boxes, key=lambda box: box[1])
+
+
+def test_a_comparison_shows_the_interval_on_a_desk_and_a_telephone(bench: MakeBench, page: Any) -> None:
+    """The last column was cut off where a run has a long name."""
+    first, second = (
+        bench("a", label="offline").run(pictures.agent(shift=9)),
+        bench("b", label="offline, detector by the truth").run(pictures.agent()),
+    )
+    path = write_comparison(compare(rated(first), rated(second, 0.7)), first.folder.parent / "pair.html")
+    for width in (1280, 390):
+        page.set_viewport_size({"width": width, "height": 900})
+        page.goto(path.as_uri())
+        assert page.evaluate("(box => box.scrollWidth - box.clientWidth)(document.querySelector('.scroll'))") <= 0, (
+            width
+        )
+
+
 def test_a_comparison_shows_both_masks_of_what_crossed(bench: MakeBench, page: Any) -> None:
     first, second = (
         bench("a", label="early").run(pictures.agent(shift=9)),

@@ -51,7 +51,9 @@ function choose() {
   lay();
 }
 
-// Cards: only the rows in sight (and one screen around) exist.
+// Cards: the first ones exist always, so that they are drawn when the page is printed; of the others only the rows in
+// sight and one screen around. They stand in order, as paper has no coordinates.
+const ALWAYS = 60;
 const cards = new Map();
 function lay() {
   const grid = $("grid"), width = grid.clientWidth;
@@ -63,10 +65,11 @@ function lay() {
   const first = Math.max(0, Math.floor((top - innerHeight) / high)) * columns;
   const last = Math.min(shown.length, Math.ceil((top + 2 * innerHeight) / high) * columns);
   for (const [place, card] of cards)
-    if (place < first || place >= last) { card.remove(); cards.delete(place); }
-  for (let place = first; place < last; place++) {
+    if (place >= ALWAYS && (place < first || place >= last)) { card.remove(); cards.delete(place); }
+  for (let place = Math.max(last, Math.min(ALWAYS, shown.length)) - 1; place >= 0; place--) {
+    if (place >= ALWAYS && place < first) continue;
     let card = cards.get(place);
-    if (!card) { card = build(shown[place], place); cards.set(place, card); grid.append(card); }
+    if (!card) { card = build(shown[place], place); cards.set(place, card); grid.insertBefore(card, cards.get(place + 1) ?? null); }
     card.style.cssText = `width:${wide}px;height:${CARD.height}px;left:${(place % columns) * (wide + CARD.gap)}px;top:${Math.floor(place / columns) * high}px`;
   }
 }
