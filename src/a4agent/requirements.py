@@ -222,15 +222,15 @@ EXTRAS: Mapping[str, Extra] = {
     "api": Extra(("openai",), "20 MB"),
     "local": Extra(("torch", "transformers", "diffusers", "accelerate"), "1 GB on a CPU, 6 GB with CUDA; and models"),
     "quantisation": Extra(("bitsandbytes",), "125 MB; needs a GPU"),
-    "heif": Extra(("pillow_heif",), "10 MB"),
+    "heif": Extra(("pillow_heif",), "27 MB"),
     "bench": Extra(("datasets", "pyarrow", "sklearn"), "300 MB"),
     "serve": Extra(("fastapi", "uvicorn", "multipart", "prometheus_client"), "10 MB"),
     "app": Extra(("gradio",), "250 MB"),
     "mcp": Extra(("mcp",), "21 MB"),
     "ray": Extra(("ray",), "240 MB"),
     "interop": Extra(("supervision",), "60 MB"),
-    "rerun": Extra(("rerun",), "520 MB"),
-    "sim": Extra(("mujoco",), "50 MB, and the asset packages"),
+    "rerun": Extra(("rerun",), "500 MB"),
+    "sim": Extra(("mujoco",), "64 MB, and the asset packages"),
 }
 """The extras of pyproject.toml that a4 doctor looks for."""
 _EXTRA_OF_FOLDER = {
