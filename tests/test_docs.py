@@ -156,6 +156,18 @@ def test_links_between_files_lead_somewhere() -> None:
                 assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
+def test_a_depth_image_comes_with_its_own_picture_and_camera() -> None:
+    """With another scene's camera all metres are wrong, and nothing tells."""
+    for page in PAGES:
+        for command in (c for block in blocks(page) if block.kind == "bash" for c in commands(block.text)):
+            files = re.findall(r"examples/sim/(?:images|depth|cameras)/([\w-]+)", command)
+            assert "--camera" not in command or (len(files) == 3 and len(set(files)) == 1), command
+    for line in (ROOT / "examples/sim/samples.jsonl").read_text().splitlines():
+        row = json.loads(line)
+        camera = json.loads((ROOT / "examples/sim/cameras" / Path(row["image"]).with_suffix(".json").name).read_text())
+        assert camera == {"K": row["camera_matrix"]}
+
+
 def test_a_run_folder_is_of_one_configuration_on_all_pages() -> None:
     """A reader follows the pages in one folder, and a run folder refuses a second configuration."""
     configurations: dict[str, str] = {}
