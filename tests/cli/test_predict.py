@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,11 @@ import pytest
 from PIL import Image
 
 from a4agent.cli.main import main
+from a4agent.cli.predict import certainty
 from a4agent.experts import registry
 from a4agent.protocols import ChatAnswer
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, output
-from a4agent.types import Usage
+from a4agent.types import Affordance, Check, Usage
 
 PROFILE = """
 [profile]
@@ -158,6 +160,14 @@ def test_depth_that_does_not_fit_is_named(
     assert words in "".join(capsys.readouterr())
 
 
+def test_a_check_that_could_not_be_made_is_the_reason_to_be_unsure() -> None:
+    unknown = Check("thing_itself", None, "the recogniser does not know 'thermos'")
+    found = Affordance("open it", (4, 3), status="abstained", confidence=0.12, checks=(unknown,))
+    assert certainty(found) == "0.12: the recogniser does not know 'thermos'"
+    found = replace(found, checks=(unknown, Check("box", 0.2, "the mask leaves the box")))
+    assert certainty(found) == "0.12: the mask leaves the box"
+
+
 def test_an_unsure_answer_shows_its_guess_and_exits_with_1(capsys: pytest.CaptureFixture[str]) -> None:
     Path("mine.toml").write_text(
         PROFILE + "[verifier]\nsignals = ['predicted_iou', 'geometry']\naccept = 1.0\nretries = 0\n"
@@ -239,7 +249,7 @@ from a4agent.cli.main import main
 from a4agent.experts import registry
 from a4agent.protocols import ChatAnswer
 from a4agent.testing import ScriptedDetector, ScriptedSegmenter, ScriptedVLM, output
-from a4agent.types import Usage
+from a4agent.types import Affordance, Check, Usage
 
 makers = {"vlm": lambda **more: ScriptedVLM(lambda asked: output("the handle"), **more),
           "detector": ScriptedDetector, "segmenter": ScriptedSegmenter}

@@ -162,7 +162,7 @@ def _tell(affordance: Affordance, folder: Path | None, plan: ActionPlan | None =
         ("part" if answered else "answer", affordance.phrase if answered else affordance.summary)
     ]
     if affordance.confidence is not None:
-        rows.append(("sure" if affordance.status == "ok" else "unsure", _certainty(affordance)))
+        rows.append(("sure" if affordance.status == "ok" else "unsure", certainty(affordance)))
     if affordance.target and affordance.target.thinking:
         rows.append(("thinking", affordance.target.thinking))
     if affordance.imagination:
@@ -202,13 +202,9 @@ def _metres(xyz: Any) -> str:
     return f"({', '.join(f'{float(v):.3f}' for v in xyz)}) m"
 
 
-def _certainty(affordance: Affordance) -> str:
+def certainty(affordance: Affordance) -> str:
     """ "0.34: no mug among the things seen": the confidence, and for an unsure answer the check that is worst."""
-    worst = min(
-        (check for check in affordance.checks if check.value is not None),
-        key=lambda check: check.value or 0.0,
-        default=None,
-    )
+    worst = min(affordance.checks, key=lambda check: 1.0 if check.value is None else check.value, default=None)
     reason = f": {worst.note}" if worst and worst.note and affordance.status == "abstained" else ""
     return f"{affordance.confidence:.2f}{reason}"
 
