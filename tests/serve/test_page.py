@@ -114,7 +114,7 @@ def ask(page: Any, photo: Path | None, instruction: str) -> None:
 def test_a_photo_and_a_sentence_give_a_mask_to_fade_and_to_keep(visit: Callable[[], Any]) -> None:
     page = visit()
     assert not page.is_visible("#opacity")
-    ask(page, PHOTO, "take the kettle off the stove")
+    ask(page, PHOTO, "pick the mug up")
     page.wait_for_selector("#answer figure:is([data-state=done], [data-state=guess]) .a4-tint")
     part = page.inner_text(".a4-part")
     assert part in page.inner_text("#answer figcaption")

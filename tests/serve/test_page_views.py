@@ -139,8 +139,8 @@ def test_the_reason_of_a_failure_is_not_said_again_below_the_picture() -> None:
         ("ok", 0.87, "fairly sure (0.87)"),
         ("ok", 0.55, "not very sure (0.55)"),
         ("ok", None, ""),
-        ("abstained", 0.31, "unsure (0.31): shown as a guess"),
-        ("abstained", None, "unsure: shown as a guess"),
+        ("abstained", 0.31, "unsure (0.31), shown as a guess"),
+        ("abstained", None, "unsure, shown as a guess"),
     ],
 )
 def test_the_confidence_is_said_in_words(status: str, confidence: float | None, words: str) -> None:
@@ -153,7 +153,7 @@ def test_a_guess_looks_like_one_and_names_its_checks() -> None:
     progress = StageProgress(PHOTO, "open", False, True, verifies=True).after("affordance", guess, 1.0)
     assert 'data-state="guess"' in page_views.picture(progress)
     page = page_views.stages(progress)
-    assert "unsure (0.31): shown as a guess" in page
+    assert "unsure (0.31), shown as a guess" in page
     assert "the mask leaves its box" in page
     assert "not measured" not in page
     assert page_views.worst_check(guess) == checks[0]

@@ -37,12 +37,12 @@ HERE = Path(__file__).parent
 FONTS = ["system-ui", "Segoe UI", "Roboto", "Helvetica Neue", "sans-serif"]
 EXAMPLES = (
     ("coffee.jpg", "Fill the cup."),
-    ("kettle.jpg", "Take the kettle off the stove."),
-    ("thermos.jpg", "Unscrew the lid of the thermos."),
+    ("mug.jpg", "Pick the mug up by its handle."),
     ("drawer.jpg", "Open the drawer."),
+    ("thermos.jpg", "Unscrew the lid of the thermos."),
 )
-"""A photograph (CC0), and pictures rendered by `a4 data make sim` from models under the MIT licence; those of the
-kettle's kitchen under Apache-2.0. See `examples/LICENSES.md`."""
+"""A photograph (CC0), and pictures rendered by `a4 data make sim` from models under the MIT licence: see
+`examples/LICENSES.md`."""
 POLICY = (
     "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; font-src 'self' data:;"
     " script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; connect-src 'self' blob: data:; worker-src 'self' blob:"

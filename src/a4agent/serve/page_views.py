@@ -72,9 +72,9 @@ def picture(progress: StageProgress | None) -> str:
 def certainty(affordance: Affordance) -> str:
     """The confidence as a person reads it: "fairly sure (0.87)"; "" where nothing was verified."""
     if affordance.confidence is None:
-        return "unsure: shown as a guess" if affordance.status == "abstained" else ""
+        return "unsure, shown as a guess" if affordance.status == "abstained" else ""
     if affordance.status == "abstained":
-        return f"unsure ({affordance.confidence:.2f}): shown as a guess"
+        return f"unsure ({affordance.confidence:.2f}), shown as a guess"
     how = next(words for least, words in CERTAINTIES if affordance.confidence >= least)
     return f"{how} ({affordance.confidence:.2f})"
 
