@@ -73,6 +73,18 @@ def test_annotate_goes_on_where_it_stopped(capsys: pytest.CaptureFixture[str]) -
     assert run("annotate", "frames", "another", "--out", "out") == 2
 
 
+@pytest.mark.parametrize(
+    ("source", "words"), [("cut.mp4", "cannot open the video 'cut.mp4'"), ("camera:97", "no camera of that number")]
+)
+def test_opencv_adds_no_lines_of_its_own(source: str, words: str, capfd: pytest.CaptureFixture[str]) -> None:
+    Path("cut.mp4").write_bytes(b"\0\0\0\x1cftypisom\0\0\2\0isomiso2mp41" + bytes(4000))
+    assert run("track", source, "x", "--out", "out") == 2
+    said = capfd.readouterr().err
+    assert words in said
+    assert len(said.splitlines()) == 1
+    assert not Path("out").exists()
+
+
 @pytest.mark.parametrize("command", ["track", "annotate"])
 def test_what_is_no_video_is_one_line(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(command, "nothing.mp4", "x", "--out", "out") == 2

@@ -109,10 +109,19 @@ class _Capture(_Source):
         cv2: Any = require("cv2", extra="offline")
         self._cv2 = cv2
         self._name = name
-        self._capture = cv2.VideoCapture(source)
+        # What OpenCV and FFmpeg print beside our one line; FFmpeg reads its level when the first file is opened.
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+        level = cv2.utils.logging.setLogLevel(0)
+        try:
+            self._capture = cv2.VideoCapture(source)
+        finally:
+            cv2.utils.logging.setLogLevel(level)
         if not self._capture.isOpened():
-            what = "camera" if isinstance(source, int) else "video"
-            raise InputError(f"cannot open the {what} {name!r}; check that it exists and is in a common format (MP4)")
+            if isinstance(source, int):
+                raise InputError(f"cannot open {name!r}: no camera of that number, or another program uses it")
+            raise InputError(
+                f"cannot open the video {name!r}: it is damaged, or in a format other than MP4 and the like"
+            )
         rate = float(self._capture.get(cv2.CAP_PROP_FPS))
         count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) if isinstance(source, str) else 0
         super().__init__(rate if 0 < rate < 1000 else 30.0, count if count > 0 else None)
