@@ -27,6 +27,8 @@ FOLDER_RATE = 10.0
 """Frames a second that a folder of images is played at."""
 TINT = np.array([255, 61, 127], np.float32)
 
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first file is opened: errors are our one line
+
 
 class Frames(Protocol):
     """An open source of frames; iterate once. `count` is None where it is unknown."""
@@ -109,8 +111,6 @@ class _Capture(_Source):
         cv2: Any = require("cv2", extra="offline")
         self._cv2 = cv2
         self._name = name
-        # What OpenCV and FFmpeg print beside our one line; FFmpeg reads its level when the first file is opened.
-        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
         level = cv2.utils.logging.setLogLevel(0)
         try:
             self._capture = cv2.VideoCapture(source)
