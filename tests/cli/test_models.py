@@ -153,6 +153,14 @@ def test_what_cannot_work_says_why(capsys, arguments, words):
     assert words in " ".join(said.split())
 
 
+def test_the_columns_of_the_list_line_up(capsys: pytest.CaptureFixture[str]) -> None:
+    _, shown, _ = here(capsys, "list")
+    rows = [line for line in shown.splitlines() if "about" in line]
+    assert len(rows) > 20
+    assert len({row.index("about") for row in rows}) == 1
+    assert rows == [row.rstrip() for row in rows]
+
+
 def test_a_folder_is_verified_like_any_other(capsys, tmp_path):
     for name, data in REPOSITORY.items():
         (tmp_path / name).write_bytes(data)

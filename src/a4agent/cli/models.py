@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from a4agent.requirements import Need
 
-_NAME_WIDTH = 40
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -178,11 +177,12 @@ def _show(needs: list[Need], *, everything: bool) -> None:
     if not needs:
         console.print("no models to fetch: it works with APIs or with what is installed")
         return
+    width = max(len(need.name) for need in needs)
     for need in needs:
         mark = "[green]●[/]" if need.path else "[dim]○[/]"
         last = need.commit[:12] if everything else ", ".join(need.roles)
-        line = f"{mark} {escape(need.name):{_NAME_WIDTH}} {escape(need.terms)}  [dim]{escape(last)}[/]"
-        console.print(line, soft_wrap=True)
+        end = f"  [dim]{escape(last)}[/]" if last else ""
+        console.print(f"{mark} {escape(need.name):{width}} {escape(need.terms)}{end}", soft_wrap=True)
     console.print("[dim]● on this disk   ○ not yet[/]")
     if not everything:
         _advise(console, needs)
