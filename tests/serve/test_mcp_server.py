@@ -71,8 +71,10 @@ def test_a_known_part_skips_the_thinker(photo: bytes) -> None:
 def test_lift_to_3d_gives_metres(photo: bytes) -> None:
     file = io.BytesIO()
     Image.fromarray(np.full((120, 160), 500, np.uint16)).save(file, "PNG")
-    arguments = {"image_base64": encoded(photo), "depth_base64": encoded(file.getvalue()), "depth_scale": 0.001}
-    data, _ = read(call(server(), "lift_to_3d", instruction="open it", **arguments, **CAMERA))
+    arguments = {"image_base64": encoded(photo), "depth_base64": encoded(file.getvalue()), **CAMERA}
+    half, _ = read(call(server(), "lift_to_3d", instruction="open it", depth_scale=0.0005, **arguments))
+    assert half["lifted"][0]["points_xyz"][0][2] == pytest.approx(0.25)
+    data, _ = read(call(server(), "lift_to_3d", instruction="open it", **arguments))  # millimetres, as everywhere
     (region,) = data["lifted"]
     assert region["points_xyz"][0][2] == pytest.approx(0.5)
     assert len(region["quaternion_xyzw"]) == 4

@@ -211,7 +211,9 @@ def create_mcp(tools: PartTools) -> Any:
         fy: float,
         cx: float,
         cy: float,
-        depth_scale: Annotated[float | None, Field(description="metres per unit: 0.001 for millimetres")] = None,
+        depth_scale: Annotated[
+            float, Field(gt=0, description="metres per unit of an integer depth image; 0.001 for millimetres")
+        ] = 0.001,
         image_path: ImagePath = None,
         image_base64: ImageBase64 = None,
         depth_path: Annotated[str | None, Field(description="a depth image (PNG or TIFF) registered to it")] = None,
@@ -223,7 +225,8 @@ def create_mcp(tools: PartTools) -> Any:
         def work() -> list[Any]:
             depth = tools.read_depth(depth_path, depth_base64)
             found = tools.locate_part(tools.read_image(image_path, image_base64), instruction, part)
-            lifted = lift(found, depth, Intrinsics(fx, fy, cx, cy), depth_scale=depth_scale)
+            scale = None if depth.dtype.kind == "f" else depth_scale
+            lifted = lift(found, depth, Intrinsics(fx, fy, cx, cy), depth_scale=scale)
             return content({**_short(found), "lifted": _lifted(lifted)}, found)
 
         return await answer(work)
