@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 from hypothesis import given
@@ -125,3 +126,13 @@ def test_garbage_is_read_or_refused_but_never_crashes(text):
             continue
         assert all(len(box) == 4 for box in found.boxes)
         assert all(len(point) == 2 for point in found.points)
+
+
+def test_a_box_among_bare_numbers_is_found():
+    assert read("[[1, 2, 3, 4], 5, 6, 7]").boxes == [[1, 2, 3, 4]]
+
+
+@pytest.mark.parametrize(("length", "quoted"), [(200, "x" * 200), (201, "x" * 200 + " ...")])
+def test_an_error_quotes_at_most_200_characters(length, quoted):
+    with pytest.raises(UnreadableAnswer, match=f"answer '{re.escape(quoted)}'"):
+        read("x" * length)

@@ -129,3 +129,16 @@ def test_prompts_are_the_trained_ones():
 def test_the_reader_needs_no_torch():
     code = "import sys; from a4agent.experts.local.rex_omni import read_answer; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_token_ids_are_those_of_the_published_vocabulary():
+    order = ["endoftext", "im_start", "im_end", "object_ref_start", "object_ref_end", "box_start", "box_end"]
+    order += ["quad_start", "quad_end", "vision_start", "vision_end", "vision_pad", "image_pad"]
+    assert FIRST_COORDINATE_ID == 150643
+    assert SPECIAL_IDS.items() <= {f"<|{name}|>": 151643 + k for k, name in enumerate(order)}.items()
+    assert SPECIAL_IDS["<|image_pad|>"] == 151655
+
+
+def test_only_a_comma_ends_a_shape():
+    text = "<|object_ref_start|>mug<|object_ref_end|><|box_start|><10> <20>\n<30> <40>, <5> <9><|box_end|>"
+    assert read_answer(text, (999, 999)) == [("mug", "box", [10, 20, 30, 40]), ("mug", "point", [5, 9])]

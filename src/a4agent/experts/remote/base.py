@@ -28,7 +28,7 @@ class RemoteExpert(ExpertBase):
         price: US dollars per million tokens, if the list price does not hold.
 
     Raises:
-        ConfigError: a concurrency below 1, or a price that is none.
+        ConfigError: a concurrency below 1, or an invalid price.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class RemoteExpert(ExpertBase):
         price: Mapping[str, float] | None = None,
     ) -> None:
         if concurrency < 1:
-            raise ConfigError(f"concurrency is at least 1, not {concurrency!r}")
+            raise ConfigError(f"concurrency must be at least 1, not {concurrency!r}")
         super().__init__(id, settings=settings, max_batch=1, concurrency=concurrency)
         self._connection = connection
         listed = price_of(connection.model) if connection.server.priced else None
@@ -117,7 +117,7 @@ def fields_from_setting(extra: Any) -> dict[str, Any]:
         ConfigError: not a table.
     """
     if extra is not None and not isinstance(extra, Mapping):
-        raise ConfigError(f"extra = {extra!r} is no table of fields; write it as {{top_k = 1}}")
+        raise ConfigError(f"extra = {extra!r} must be a table, such as {{top_k = 1}}")
     return dict(cast("Mapping[str, Any]", extra or {}))
 
 
