@@ -106,3 +106,10 @@ def test_masks_of_another_size_than_the_image_are_refused() -> None:
     data = Affordance("x", (5, 7), regions=(region,)).to_dict()
     with pytest.raises(DataError, match="7 x 6"):
         Affordance.from_dict({**data, "size_wh": [6, 7]})
+
+
+def test_people_read_the_reason_without_the_name_of_a_class() -> None:
+    failed = Affordance("fill it", (4, 3), status="invalid", error="UnreadableAnswer: gave no JSON: 'x'")
+    assert failed.reason == "gave no JSON: 'x'"
+    assert failed.summary == "invalid: gave no JSON: 'x'"
+    assert Affordance("fill it", (4, 3), status="error").reason == ""

@@ -18,6 +18,7 @@ mask, never None; a failure is an Affordance whose `status` and `error` say so.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -335,7 +336,12 @@ class Affordance:
             return f"{unsure}: {self.phrase}"
         if self.status == "empty":
             return f"not found: {self.phrase}"
-        return f"{self.status}: {self.error or self.phrase}"
+        return f"{self.status}: {self.reason or self.phrase}"
+
+    @property
+    def reason(self) -> str:
+        """`error` as a sentence, without the name of its class; "" if there is none."""
+        return re.sub(r"^[A-Z]\w+: ", "", self.error or "")
 
     def draw(self, *, caption: bool = True, opacity: float = 0.5) -> Image:
         """The photograph with the answer over it, 640 to 1600 pixels on its longer side; hatched if it abstained.

@@ -232,7 +232,7 @@ def _verdict(affordance: Affordance) -> str:
         part = affordance.phrase
         return page_views.message(f"Nothing in this photo was recognised as “{part}”. Try other words.", "note")
     what = "The model's answer could not be used" if affordance.status == "invalid" else "The models could not be asked"
-    return page_views.message(sentence(f"{what}: {(affordance.error or '').partition(': ')[2]}"), "error")
+    return page_views.message(sentence(f"{what}: {affordance.reason}"), "error")
 
 
 def sentence(words: str) -> str:
