@@ -157,3 +157,11 @@ def test_a_guess_looks_like_one_and_names_its_checks() -> None:
     assert "the mask leaves its box" in page
     assert "not measured" not in page
     assert page_views.worst_check(guess) == checks[0]
+
+
+def test_two_checks_of_one_sentence_are_said_once() -> None:
+    checks = (Check("itself", 0.9, "best match: espresso"), Check("alike", 0.7, "best match: espresso"))
+    found = answer("ok", confidence=0.9, checks=checks)
+    page = page_views.stages(StageProgress(PHOTO, "fill", False, True, verifies=True).after("affordance", found, 1.0))
+    assert page.count("best match: espresso") == 1
+    assert "value=0.70" in page

@@ -188,10 +188,12 @@ def _verifier(progress: StageProgress | None) -> str:
         return _card("working" if progress.detection is not None else "waiting", title, "")
     if answer.status not in ("ok", "abstained"):
         return _card("off", title, "Nothing to check.")
+    by_note: dict[str, float] = {}  # a sentence that two checks share is said once, with the lower value
+    for check in answer.checks:
+        if check.value is not None:
+            by_note[check.note] = min(check.value, by_note.get(check.note, 1.0))
     checks = "".join(
-        f"<li><meter min=0 max=1 value={check.value:.2f}></meter> {text(check.note)}</li>"
-        for check in answer.checks
-        if check.value is not None
+        f"<li><meter min=0 max=1 value={value:.2f}></meter> {text(note)}</li>" for note, value in by_note.items()
     )
     words = f'<p class="a4-part">{text(certainty(answer))}</p><ul class="a4-checks">{checks}</ul>'
     return _card("done", title, words)
