@@ -31,7 +31,7 @@ def test_what_is_not_cached_is_none():
 @pytest.mark.parametrize("file", ["", "a.safetensors"])
 def test_a_name_that_no_repository_can_have_is_told(file):
     pytest.importorskip("huggingface_hub")
-    with pytest.raises(ModelFilesError, match=r"'owner/a\.\.b' is no name of a model: "):
+    with pytest.raises(ModelFilesError, match=r"'owner/a\.\.b' is not a model name: "):
         hub.cached("owner/a..b", file=file)
 
 

@@ -48,7 +48,7 @@ ABANDONED = 3600.0
 
 
 def default_folder() -> Path:
-    """A4_CACHE_DIR, or the system's place for caches."""
+    """A4_CACHE_DIR, or the system's cache folder."""
     chosen = os.environ.get("A4_CACHE_DIR")
     return Path(chosen).expanduser() if chosen else system_cache() / "answers"
 
@@ -170,7 +170,7 @@ class Cache:
 
 
 def _removed(path: Path) -> bool:
-    """Remove a file; whether it is gone, perhaps removed by another process."""
+    """Remove a file; True if it is gone, even if another process removed it."""
     try:
         path.unlink(missing_ok=True)
     except OSError:

@@ -93,15 +93,15 @@ class _Pool:
         """All answers, until the last thread has ended. Call `make_room` for each one passed on."""
         for number in range(self._session.in_flight):
             threading.Thread(target=self._work, name=f"a4 sample {number}", daemon=True).start()
-        running, woken, told = self._session.in_flight, False, False
+        running, woken, warned = self._session.in_flight, False, False
         while running:
             if self._stop.reason is not None and not woken:
                 woken = True
                 self._wake_all()
                 if not isinstance(self._stop.reason, BudgetExceeded):
                     self._session.end_waits()
-            if self._stop.interrupted and not told:
-                told = True
+            if self._stop.interrupted and not warned:
+                warned = True
                 log.warning(FINISHING)
             try:
                 answered = self._results.get(timeout=0.2)

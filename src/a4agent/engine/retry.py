@@ -16,8 +16,8 @@ FAILURES_TO_OPEN = 10
 def backoff(failures: int, first: float, error: Exception, max_retry_after: float) -> float:
     """Seconds before a request that failed `failures` times is sent again.
 
-    `first` seconds, doubled with each failure up to 30, shortened by up to a half at random so that requests
-    that failed together do not return together; not less than the provider asked for, up to `max_retry_after`.
+    `first` seconds, doubled with each failure up to 30, shortened at random by up to half so that requests
+    that failed together are not sent together; at least what the provider asked for, up to `max_retry_after`.
     """
     wait = min(first * 2 ** (failures - 1), LONGEST_WAIT) * random.uniform(0.5, 1.0)
     return max(wait, min(getattr(error, "retry_after", None) or 0.0, max_retry_after))
@@ -34,10 +34,10 @@ def fresh(error: A4Error) -> A4Error:
 
 
 class Pace:
-    """How many calls at once a provider takes, found out by asking: fewer after a rate limit, more while all goes well.
+    """How many calls at once a provider takes: fewer after a rate limit, more while calls succeed.
 
     It drops by three tenths for each round of calls that met the limit, returns quickly to just below where
-    that was, and feels its way up from there, by one in five rounds.
+    that was, and rises from there by one in five rounds.
     """
 
     def __init__(self, most: int) -> None:
@@ -66,8 +66,8 @@ class Breaker:
     """Leaves an expert alone while it is down.
 
     After ten failures in a row it holds all calls back for `pause` seconds, lets one through to see, and
-    doubles the pause until one succeeds. An expert that was down for `outage_seconds` is given up: from then
-    on `enter` raises the reason, which is fatal to the run.
+    doubles the pause until one succeeds. An expert that is down for `outage_seconds` is given up: `enter`
+    then raises the reason, which is fatal to the run.
     """
 
     def __init__(self, expert: str, pause: float = 1.0, outage_seconds: float = 300.0) -> None:

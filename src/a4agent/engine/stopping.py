@@ -64,7 +64,7 @@ class Stop:
 
 
 class Budget:
-    """US dollars and seconds that a run may take; None is no limit.
+    """US dollars and seconds that a run may take; None means no limit.
 
     Each sample in flight is expected to cost as much as the most expensive one so far, and the next one to take as
     long as the latest ones did. So a run stays within its budget unless a sample costs more than all before it.

@@ -1,1 +1,1 @@
-"""The models behind the stages. A stage knows the protocols of `experts.base` and nothing else."""
+"""The models behind the stages. A stage knows `a4agent.protocols` and nothing else."""

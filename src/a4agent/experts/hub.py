@@ -1,4 +1,4 @@
-"""The hub of models and its cache on this disk: look, ask, fetch. The one place that opens a connection to it.
+"""The model hub and its local cache: look up, ask, download. Nothing else connects to the hub.
 
     cached("facebook/sam2.1-hiera-tiny")    -> the snapshot's folder, or None; no network
     reach("facebook/sam3")                  asks whether it is there and open to this account, within seconds
@@ -44,7 +44,7 @@ def full_name(provider: str, model: str) -> str:
 
 
 def reference(name: str, revision: str | None = None, file: str = "") -> str:
-    """How `a4 models pull` is told of it: OWNER/NAME, OWNER/NAME/FILE, OWNER/NAME@REVISION."""
+    """The argument of `a4 models pull` for it: OWNER/NAME, OWNER/NAME/FILE, OWNER/NAME@REVISION."""
     return "/".join(filter(None, (name, file))) + (f"@{revision}" if revision else "")
 
 
@@ -71,13 +71,13 @@ def cached(name: str, revision: str | None = None, file: str = "") -> Path | Non
     except errors.LocalEntryNotFoundError:
         return None
     except errors.HFValidationError as error:
-        raise ModelFilesError(f"{name!r} is no name of a model: {_first_line(error)}") from error
+        raise ModelFilesError(f"{name!r} is not a model name: {_first_line(error)}") from error
     # Of a snapshot that another program began, or an older client, the hub's client cannot tell whether it is whole.
     return None if missing_files(Path(folder)) else Path(folder)
 
 
 def reach(name: str, revision: str | None = None, file: str = "") -> None:
-    """Ask the hub for OWNER/NAME; a small question, so that what cannot work is known before any work starts.
+    """Ask the hub whether it has OWNER/NAME, so that a missing model is reported before any work starts.
 
     `file` is the one that is wanted of it, for the message.
 
@@ -177,7 +177,7 @@ def _explained(name: str, revision: str | None, file: str) -> Generator[None, No
 
 
 def _may_pass(cause: BaseException | None) -> bool:
-    """Whether asking again may help: the connection broke, rather than the hub saying no."""
+    """Whether asking again may help: the connection failed, and the hub did not refuse."""
     _, errors = _hub()
     if isinstance(cause, errors.EntryNotFoundError):
         return isinstance(cause, errors.LocalEntryNotFoundError)

@@ -1,10 +1,10 @@
-"""Are the files of a checkpoint whole? Said without any network.
+"""Check that a checkpoint's files are complete, without network access.
 
     damage_in(Path(".../snapshots/1a2b3c"))
         -> ["model-00002-of-00004.safetensors: ends after 1.2 of 4.9 GB"]
 
-The header of a safetensors file says how long the file must be. In the hub's cache a file is stored under the
-digest of its contents (sha256, or git's sha1 for small ones), so that every byte can be checked.
+The header of a safetensors file gives the file's length. In the hub's cache a file is named by the digest of its
+contents (sha256, or git's sha1 for small ones), so every byte can be checked.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def damage_in(path: Path, *, contents: bool = True, on_file: Callable[[Path], No
     Args:
         path: a folder or a .safetensors file.
         contents: also read every byte of files whose digest is known (they lie in the hub's cache).
-        on_file: is told of each file before it is read.
+        on_file: called with each file before it is read.
     """
     files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
     found: list[str] = []
@@ -45,7 +45,7 @@ def damage_in(path: Path, *, contents: bool = True, on_file: Callable[[Path], No
 
 
 def missing_files(folder: Path) -> list[str]:
-    """What belongs to the files of a checkpoint's folder and is not there: weights, shards, parts of a pipeline."""
+    """The files that a checkpoint's folder lacks: weights, shards, parts of a pipeline."""
     if not _has_weights(folder):
         return ["there are no .safetensors files"]
     found = [
@@ -58,7 +58,7 @@ def missing_files(folder: Path) -> list[str]:
         try:
             shards = set(json.loads(index.read_text("utf-8"))["weight_map"].values())
         except (ValueError, KeyError, TypeError, AttributeError):
-            continue  # said of the file itself
+            continue  # reported with the file itself
         found += [
             f"{(index.parent / shard).relative_to(folder)}: missing"
             for shard in sorted(shards)
@@ -72,7 +72,7 @@ def _has_weights(folder: Path) -> bool:
 
 
 def _parts_of_pipeline(folder: Path) -> list[str]:
-    """The sub-folders that model_index.json names, as {"vae": ["diffusers", "AutoencoderKL"], ...}; null is none."""
+    """The sub-folders that model_index.json names, as {"vae": ["diffusers", "AutoencoderKL"], ...}; not null ones."""
     try:
         index: Any = json.loads((folder / "model_index.json").read_text("utf-8"))
         return sorted(name for name, part in index.items() if isinstance(part, list) and None not in part)

@@ -73,12 +73,12 @@ def split(spec: str) -> tuple[str, str]:
 
 
 def last_day(spec: str, settings: Mapping[str, Any]) -> str:
-    """The day (ISO) from which the vendor no longer serves a model, as far as this package knows; "" if none is.
+    """The day (ISO) on which the vendor stops serving a model, as far as this package knows; "" if unknown.
 
-    The factory's module says it with `last_day(model, settings)`. No server is asked.
+    The factory's module may define `last_day(model, settings)`. No server is asked.
 
     Raises:
-        UnknownNameError: nobody registered the provider.
+        UnknownNameError: no such provider.
     """
     provider, model = split(spec)
     module: Any = sys.modules.get(factory_of(provider).__module__)
@@ -89,7 +89,7 @@ def inner_experts(spec: str, settings: Mapping[str, Any]) -> dict[Role, tuple[st
     """The experts that the expert `spec` would build for itself, by role: their spec and settings.
 
     The setting of that name takes a built one instead, so that several experts can share it. A factory's
-    module says this with a function `inner_experts(model, settings)`.
+    module may define `inner_experts(model, settings)`.
 
     Raises:
         UnknownNameError: no such provider.
@@ -150,7 +150,7 @@ def build(specs: Mapping[str, ExpertSettings]) -> dict[str, Expert]:
 
 
 def _check_values(spec: str, factory: Factory, settings: Mapping[str, Any]) -> None:
-    """Hold values to the plain types of a factory's annotations; what else there is, the factory checks."""
+    """Check values against the plain types of a factory's annotations; the factory checks the rest."""
     try:
         hints = get_type_hints(factory.__init__ if isinstance(factory, type) else factory)
     except Exception:  # annotations of a stranger's that only a type checker can read

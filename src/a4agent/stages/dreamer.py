@@ -67,7 +67,7 @@ class Dreamer:
 
 
 def _clean(text: str) -> str:
-    """The prompt without the fences and quotes that models put around it despite being told not to."""
+    """The prompt without the fences and quotes that models add against instructions."""
     text = text.strip()
     if text.startswith("```"):
         text = text.strip("`").partition("\n")[2] or text.strip("`")

@@ -22,7 +22,7 @@ def to_prompts(detection: Detection, size_wh: tuple[int, int], pairing: Pairing)
     """One prompt for each region to segment, with the index of its box in the detection.
 
     "paper" pairs by index what the model gave and cleans the pairs afterwards, as the authors do; the others clean
-    first. Points that were derived from the boxes are no prompts.
+    first. Points that were derived from the boxes are not used.
     """
     boxes, box_numbers = clean_boxes(detection.boxes_xyxy, size_wh)
     points, point_numbers = clean_points(detection.points_xy, size_wh)

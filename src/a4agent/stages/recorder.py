@@ -36,7 +36,7 @@ KINDS: dict[str, type[Answer]] = {
 
 
 class Recorder:
-    """Asks one expert one thing at a time and keeps the steps, also those of calls that failed."""
+    """Asks an expert one request at a time and keeps the steps, including those of failed calls."""
 
     def __init__(self) -> None:
         self._steps: list[Step] = []
@@ -46,7 +46,7 @@ class Recorder:
         return Trace(tuple(self._steps))
 
     def mark(self, error: A4Error) -> None:
-        """Note in the last step that its answer could not be used; a call that failed says so already."""
+        """Note in the last step that its answer could not be used, unless the call itself failed."""
         if self._steps and not self._steps[-1].error:
             self._steps[-1] = replace(self._steps[-1], error=_told(error))
 
@@ -63,7 +63,7 @@ class Recorder:
         """One request, one answer, one step.
 
         Raises:
-            A4Error: whatever the expert raised or answered for this request.
+            A4Error: the expert raised it or returned it for this request.
             ProviderError: the expert failed in a way it did not foresee.
         """
         prompt = _prompt_of(request)
@@ -121,7 +121,7 @@ def _checked(answer: Answer, request: Request) -> Answer:
     if not isinstance(answer, kind):
         raise TypeError(f"expected a {kind.__name__}, not a {type(answer).__name__}")
     if isinstance(answer, ChatAnswer) and not isinstance(cast(Any, answer.text), str):
-        raise TypeError(f"the text of a ChatAnswer is a string, not {type(answer.text).__name__}")
+        raise TypeError(f"the text of a ChatAnswer must be a string, not {type(answer.text).__name__}")
     return answer
 
 

@@ -1,18 +1,16 @@
-"""Whether: the Verifier looks at the answer without knowing the truth, and says how likely it is to be right.
+"""Whether: the Verifier estimates how likely an answer is to be right, without knowing the truth.
 
     verifier.check(affordance, spotter, recorder)
     -> Verdict(confidence=0.34, checks=(Check("mirror", 0.12, "in the mirrored picture ...", blame="spotter"), ...))
 
 Signals measure (see `stages.signals`), a calibration turns their values into a probability. Without a calibration
-the confidence is the weakest check: a ranking, not a probability; it is None if a signal failed, since the one that
-did may have been the weakest. `A4Agent` asks the blamed stage again while the
-answer is not accepted.
+the confidence is the weakest check: a ranking, not a probability; it is None if a signal failed, which may have been
+the weakest. `A4Agent` asks the blamed stage again, at most `retries` times.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from a4agent.errors import A4Error, BudgetExceeded, ConfigError
 from a4agent.protocols import Detector, Segmenter, VisionLanguageModel
@@ -21,9 +19,6 @@ from a4agent.stages.recorder import Recorder
 from a4agent.stages.signals import Evidence, Signal
 from a4agent.stages.spotter import Spotter
 from a4agent.types import Affordance, Check
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)
@@ -64,7 +59,7 @@ class Verifier:
                     )
 
     def check(self, affordance: Affordance, spotter: Spotter, recorder: Recorder | None = None) -> Verdict:
-        """What the signals say of an answer with its picture.
+        """Measure an answer, which carries its picture.
 
         A signal that fails for this sample alone is a check without a value.
 

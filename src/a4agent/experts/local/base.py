@@ -1,4 +1,4 @@
-"""What all experts that run in this process share: where the weights go, in which numbers, and when memory runs out.
+"""What all experts in this process share: device, number format, and what happens when memory runs out.
 
 placement = place(device="auto", dtype="auto")           # cuda, bfloat16   or   cpu, float32
 model = load_pretrained(Sam2Model, checkpoint, placement)
@@ -45,7 +45,7 @@ AnswerT = TypeVar("AnswerT")
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a model goes and in which numbers. `device` is a torch device's name, or "spread" over all of them."""
+    """A model's device and number format. `device` is a torch device's name, or "spread" over all of them."""
 
     device: str
     dtype: str
@@ -62,7 +62,7 @@ class Placement:
         return best_device() if self.device == SPREAD else self.device
 
     def changes_answers(self) -> dict[str, str]:
-        """The part of it that an answer depends on, for fingerprints."""
+        """The settings that change an answer, for fingerprints."""
         return {"dtype": self.dtype, "attention": self.attention, "quantisation": self.quantisation}
 
 
@@ -190,7 +190,7 @@ def load_pretrained(
 
 @contextmanager
 def _quiet_transformers() -> Generator[None, None, None]:
-    """Without its page of warnings on weights left out, as of a video model that is used for images; we check."""
+    """Silence its warnings about unused weights, such as a video model's; `_check_nothing_invented` checks instead."""
     logging: Any = require("transformers.utils.logging", extra="local")
     before = logging.get_verbosity()
     logging.set_verbosity_error()
@@ -220,7 +220,7 @@ def _from_pretrained_options(placement: Placement) -> dict[str, Any]:
 
 
 def _check_nothing_invented(checkpoint: Checkpoint, model: Any, found: Mapping[str, Any]) -> None:
-    """Weights that the files lack are drawn at random in silence; answers from those are worth nothing."""
+    """Transformers silently initialises missing weights at random, which makes the answers worthless."""
     missing = sorted(found.get("missing_keys", ()))
     if not missing:
         return
@@ -232,7 +232,7 @@ def _check_nothing_invented(checkpoint: Checkpoint, model: Any, found: Mapping[s
 
 
 def is_out_of_memory(error: BaseException) -> bool:
-    """Whether torch (on any device) or Python says that memory ran out."""
+    """Whether torch (on any device) or Python ran out of memory."""
     torch: Any = require("torch", extra="local")
     if isinstance(error, torch.OutOfMemoryError | MemoryError):
         return True
@@ -262,7 +262,7 @@ class LocalExpert(ExpertBase):
         self, id: str, checkpoint: Checkpoint, placement: Placement, *, settings: Mapping[str, Any], max_batch: int = 1
     ) -> None:
         if max_batch < 1:
-            raise ConfigError(f"max_batch of {id!r} is at least 1, not {max_batch!r}")
+            raise ConfigError(f"max_batch of {id!r} must be at least 1, not {max_batch!r}")
         super().__init__(
             id,
             revision=checkpoint.revision,

@@ -102,5 +102,5 @@ class MMGroundingDino(GroundingDino):
 
 
 def as_caption(phrase: str) -> str:
-    """Lower case and one full stop at the end, which is how phrases are told apart."""
+    """Lower case with one full stop at the end, which separates phrases."""
     return " ".join(phrase.replace(".", " ").lower().split()) + "."

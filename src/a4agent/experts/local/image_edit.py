@@ -124,7 +124,7 @@ def create(
     if lightning not in (0, 4, 8):
         raise ConfigError(f"lightning is 0 (off), 4 or 8 steps, not {lightning!r}")
     if (steps is not None and steps < 1) or output_pixels < 32 * 32:
-        raise ConfigError(f"steps ({steps!r}) is at least 1, and output_pixels ({output_pixels!r}) at least 1024")
+        raise ConfigError(f"steps ({steps!r}) must be at least 1, and output_pixels ({output_pixels!r}) at least 1024")
     checkpoint = find_checkpoint(model, kinds=tuple(PIPELINES), revision=revision)
     pipeline = json.loads((checkpoint.folder / "model_index.json").read_text("utf-8"))["_class_name"]
     kind = PIPELINES[pipeline]

@@ -30,7 +30,7 @@ class BoxSelection:
     def __post_init__(self) -> None:
         if not (0 <= self.threshold < 1 and 0 < self.nms_iou <= 1 and self.max_boxes >= 1):
             raise ConfigError(
-                f"threshold lies in [0, 1), nms_iou in (0, 1] (1: off) and max_boxes is at least 1, not {self}"
+                f"threshold must be in [0, 1), nms_iou in (0, 1] (1: off) and max_boxes at least 1, not {self}"
             )
 
 
@@ -44,7 +44,7 @@ class Candidates:
 
 
 class OpenVocabularyDetector(LocalExpert):
-    """A detector that scores boxes. A subclass says how the phrase is asked and the output is read."""
+    """A detector that scores boxes. A subclass prepares the inputs and reads the output."""
 
     model_class = ""
 

@@ -67,7 +67,7 @@ def create(
     """
     if max_new_tokens < 1 or max_pixels < MIN_PIXELS:
         raise ConfigError(
-            f"max_new_tokens is at least 1 and max_pixels at least {MIN_PIXELS}, "
+            f"max_new_tokens must be at least 1 and max_pixels at least {MIN_PIXELS}, "
             f"not {max_new_tokens!r} and {max_pixels!r}"
         )
     placement = place(device, dtype, attention, quantisation)

@@ -88,7 +88,7 @@ class SamSegmenter(LocalExpert):
         if candidates not in ("best", "all"):
             raise UnknownNameError.of("value of candidates", candidates, ("best", "all"))
         if cached_images < 0:
-            raise ConfigError(f"cached_images of {id!r} is at least 0, not {cached_images!r}")
+            raise ConfigError(f"cached_images of {id!r} must be at least 0, not {cached_images!r}")
         super().__init__(id, checkpoint, placement, settings={"candidates": candidates}, max_batch=max_batch)
         self._candidates = candidates
         self._model: Any = None

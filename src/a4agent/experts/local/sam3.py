@@ -57,7 +57,7 @@ def create(
         ConfigError: a setting has a value it does not take.
     """
     if not 0 <= threshold < 1:
-        raise ConfigError(f"threshold lies in [0, 1), not {threshold!r}")
+        raise ConfigError(f"threshold must be in [0, 1), not {threshold!r}")
     placement = place(device, dtype)
     if role == "segmenter":
         kinds = ("sam3_video", "sam3_tracker", "sam3_tracker_video")

@@ -56,7 +56,7 @@ def create(
         ConfigError: a setting has a value it does not take.
     """
     if temperature < 0:
-        raise ConfigError(f"temperature is at least 0, not {temperature!r}")
+        raise ConfigError(f"temperature must be at least 0, not {temperature!r}")
     if max_pixels is not None and max_pixels < 1:
         raise ConfigError(f"max_pixels is a positive number of pixels, not {max_pixels!r}")
     placement = place(device, dtype, attention, quantisation)

@@ -58,12 +58,12 @@ class RemoteExpert(ExpertBase):
         return twin
 
     def shutdown_date(self) -> str:
-        """The day from which the model is no longer served, as its server announces or its vendor did; "" if none."""
+        """The day on which the model is retired, by its server or its vendor's list; "" if none is announced."""
         listed = price_of(self._connection.model) if self._connection.server.priced else None
         return self._connection.shutdown_date() or (listed.retires if listed else "")
 
     def _one_by_one(self, requests: Sequence[RequestT], ask: Callable[[RequestT], AnswerT]) -> list[AnswerT | A4Error]:
-        """`ask` each request. An error that every request would meet is raised, another is that request's answer."""
+        """`ask` each request. An error that every request would meet is raised; any other is that request's answer."""
         answers: list[AnswerT | A4Error] = []
         for request in requests:
             try:

@@ -70,7 +70,7 @@ class Sent:
 
 
 def servers() -> dict[str, Server]:
-    """The servers whose ways are known, by name."""
+    """The known servers, by name."""
     table = read_package_toml("a4agent.experts.remote", "servers.toml")
     return {name: Server(name=name, **row) for name, row in table.items()}
 
@@ -80,7 +80,7 @@ def find_server(name: str = "", base_url: str = "") -> Server:
 
     Raises:
         UnknownNameError: no server of that name.
-        ConfigError: `base_url` is no address.
+        ConfigError: `base_url` is not a URL.
     """
     known = servers()
     if name:
@@ -148,7 +148,7 @@ class Connection:
         """Let `send(client)` make one `with_raw_response` call; return what it parsed and how it went.
 
         Raises:
-            A4Error: the call failed; the class says by whose doing and whether it may succeed later.
+            A4Error: the call failed; the class tells who must act and whether a retry may help.
         """
         start = time.perf_counter()
         try:
@@ -163,7 +163,7 @@ class Connection:
         return parsed, Sent(seconds, int(getattr(raw, "retries_taken", 0)) + 1, request_id)
 
     def models(self) -> list[str]:
-        """The names the server lists; [] if it does not say."""
+        """The model names that the server lists; [] if it lists none."""
         try:
             listed = self._connected().with_options(max_retries=0, timeout=5.0).models.list()
             return [model.id for model in listed.data]
@@ -208,7 +208,7 @@ class Connection:
             return self._client
 
     def _refuse_another_place(self, wanted: str) -> None:
-        """Pictures must not go to OpenAI for somebody who believes that they go elsewhere.
+        """Keep pictures from going to OpenAI when the user expects another server.
 
         The variable is not followed, because where answers come from is part of a run's settings.
         """

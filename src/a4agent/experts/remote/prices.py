@@ -55,7 +55,7 @@ def price_from_setting(price: Any) -> Price:
     """A price that the user states, such as {"input": 1.0, "output": 4.0}.
 
     Raises:
-        ConfigError: a key that is no price, or a price that is missing or negative.
+        ConfigError: an unknown key, or a price that is missing or negative.
     """
     table = dict(cast("Mapping[str, Any]", price)) if isinstance(price, Mapping) else {}
     known = {field.name for field in fields(Price)} - {"as_of", "source", "retires"}

@@ -95,7 +95,7 @@ def create(
     if not model:
         raise ConfigError("write the server's address after the colon: 'rex-omni-server:http://127.0.0.1:8000/v1'")
     if max_tokens < 1:
-        raise ConfigError(f"max_tokens is at least 1, not {max_tokens!r}")
+        raise ConfigError(f"max_tokens must be at least 1, not {max_tokens!r}")
     connection = Connection(
         served_model,
         base_url=model,
@@ -165,7 +165,7 @@ class RexOmniServer(RemoteExpert):
         return self._read(completion, sent, image.size)
 
     def _read(self, completion: Any, sent: Sent, size_wh: tuple[int, int]) -> tuple[list[Shape], str, Usage, bool]:
-        """The shapes, the text, what it took, and whether it ended at the token limit."""
+        """The shapes, the text, the usage, and whether it ended at the token limit."""
         choice = self._first_choice(completion)
         text = text_of(choice.message.content)
         found: Any = getattr(choice, "token_ids", None)
