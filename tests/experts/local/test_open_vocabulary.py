@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as stn
 
 from a4agent.errors import ConfigError
-from a4agent.experts.local.open_vocabulary import Selection, best_boxes, centres, to_corners
+from a4agent.experts.local.open_vocabulary import BoxSelection, best_boxes, centres, to_corners
 
 BOXES = np.array([[0, 0, 10, 10], [1, 0, 11, 10], [50, 50, 60, 60], [0, 0, 10, 9]], float)
 SCORES = np.array([0.5, 0.9, 0.3, 0.6])
@@ -55,4 +55,4 @@ def test_corners_and_centres():
 @pytest.mark.parametrize("setting", [{"threshold": 1.0}, {"nms_iou": 0.0}, {"max_boxes": 0}, {"threshold": -0.1}])
 def test_settings_have_bounds(setting):
     with pytest.raises(ConfigError):
-        Selection(**{"threshold": 0.3, "nms_iou": 0.5, "max_boxes": 5, **setting})
+        BoxSelection(**{"threshold": 0.3, "nms_iou": 0.5, "max_boxes": 5, **setting})
