@@ -25,6 +25,7 @@ ISOTONIC = Calibration("isotonic", ("mirror",), (1.0,), fill=(0.0,), knots=((0.2
         ({"mirror": 1.0, "score": 0.5, "other": 9.0}, 0.5 + 2.0 - 0.5),
         ({"mirror": 1.0, "score": None}, 0.5 + 2.0 - 0.25),
         ({}, 0.5 + 1.0 - 0.25),
+        ({"mirror": -1.0, "score": 0.0}, 0.5 - 2.0),
     ],
 )
 def test_logistic_is_the_weighted_sum_through_the_logistic_function(values: Any, score: float) -> None:

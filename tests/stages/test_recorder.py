@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 
 from a4agent.errors import ProviderError, RateLimited
-from a4agent.protocols import ChatAnswer, ChatRequest, DetectRequest, EditRequest
+from a4agent.protocols import ChatAnswer, ChatRequest, DetectRequest, EditRequest, Prompt, Segmentation, SegmentRequest
 from a4agent.stages.recorder import Recorder
-from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedVLM
+from a4agent.testing import ScriptedDetector, ScriptedEditor, ScriptedSegmenter, ScriptedVLM
 from a4agent.types import Detection, Usage
 
 PHOTO = Image.new("RGB", (8, 6))
@@ -92,3 +92,13 @@ def test_an_unusable_answer_is_marked_once() -> None:
     recorder.mark(RateLimited("first"))
     recorder.mark(ProviderError("second"))
     assert recorder.trace.steps[0].error == "RateLimited: first"
+
+
+def test_prompts_for_masks_are_kept_to_a_tenth_of_a_pixel() -> None:
+    recorder = Recorder()
+    answer = Segmentation(np.ones((2, 1, 6, 8), bool), np.array([[0.91234], [0.5]], np.float32))
+    prompts = (Prompt(np.array([1.26, 2, 3, 4]), np.array([[2.34, 3]])), Prompt(None, np.array([[5.0, 5.0]])))
+    recorder.ask("spotter", ScriptedSegmenter([answer]), SegmentRequest(PHOTO, prompts))
+    (step,) = recorder.trace.steps
+    assert step.prompt == ("[{'box': [1.3, 2.0, 3.0, 4.0], 'points': [2.3, 3.0]}, {'box': None, 'points': [5.0, 5.0]}]")
+    assert step.answer == "2 prompts, predicted IoU [0.912, 0.5]"
