@@ -98,3 +98,8 @@ def test_what_is_not_json_is_refused(tmp_path: Path, content: bytes) -> None:
 def test_a_missing_file_says_how_to_get_one() -> None:
     with pytest.raises(ConfigError, match=r"'nowhere\.json'.*a4 calibrate"):
         load_calibration("nowhere.json")
+
+
+def test_a_file_without_an_intercept_has_0() -> None:
+    data = {key: value for key, value in LOGISTIC.to_dict().items() if key != "intercept"}
+    assert read_calibration(data).intercept == 0.0

@@ -46,6 +46,7 @@ def test_failures_leave_a_step_and_keep_their_class() -> None:
     with pytest.raises(ProviderError, match="scripted:expert failed on a edit request"):
         recorder.ask("dreamer", ScriptedEditor([ValueError("boom")]), EditRequest(PHOTO, "x"))
     assert [step.error.partition(":")[0] for step in recorder.trace.steps] == ["RateLimited", "ValueError"]
+    assert all(0 <= step.seconds < 60 for step in recorder.trace.steps)
 
 
 @pytest.mark.parametrize("answer", [None, Detection(), ChatAnswer(None)])  # type: ignore[arg-type]

@@ -78,3 +78,8 @@ def test_an_answer_without_the_json_is_unreadable(text: str) -> None:
 def test_the_last_valid_object_counts() -> None:
     text = f"First: {json.dumps(GOOD)}\nNo, rather ```json\n{json.dumps({**GOOD, 'tight': 0.5})}\n```"
     assert read_review(text).tight == 0.5
+
+
+def test_blanks_around_blame_and_advice_are_dropped() -> None:
+    checks, _ = review({**GOOD, "tight": 0.1, "blame": " thinker\n", "advice": " Look left. "})
+    assert [(c.blame, c.note) for c in checks if c.name == "tight"] == [("thinker", "Look left.")]

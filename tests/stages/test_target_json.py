@@ -150,3 +150,16 @@ def test_of_an_endless_answer_the_end_is_read() -> None:
 
 def test_a_stray_quote_hides_no_json() -> None:
     assert read_target('a 5" pipe\n{"object_name": "pipe", "object_part": "the end",}').object_part == "the end"
+
+
+@pytest.mark.parametrize(
+    ("text", "thinking"),
+    [
+        ("### Thinking\nThe body is hot.\n### Output\nnothing", "The body is hot."),
+        ("The body is hot.\n### Output\n### Output\nnothing", "The body is hot.\n### Output"),
+        ("### Thinking\nThe body is", "The body is"),
+        (" The body is ", "The body is"),
+    ],
+)
+def test_the_thinking_of_an_answer_without_a_target(text: str, thinking: str) -> None:
+    assert thinking_in(text) == thinking

@@ -109,7 +109,7 @@ def thinking_in(text: str) -> str:
     """The prose of an answer: the text under "### Thinking", or before the output."""
     text = text[-LONGEST:]
     output = list(OUTPUT.finditer(text))
-    return _thinking(text, output[-1].start()) if output else _thinking(text, len(text))
+    return _thinking(text, output[-1].start() if output else len(text))
 
 
 def json_values(text: str) -> Iterator[dict[str, Any] | list[Any]]:
