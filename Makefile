@@ -10,7 +10,7 @@ SIM_ASSETS ?= metaworld==3.1.1 gymnasium-robotics==1.4.2 robosuite==1.5.2
 BIN := .venv/bin
 PIP := $(BIN)/pip install -q --disable-pip-version-check
 
-.PHONY: demo test check system docs perf clean
+.PHONY: demo test check system docs perf train clean
 
 demo: .venv/.demo
 	@echo 'a photograph: a4 predict examples/coffee.jpg "fill the cup"'
@@ -27,6 +27,11 @@ check:
 	$(BIN)/pyright
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python -m pytest -rs -n 2 --dist loadfile
+
+# The network of the offline profile: draws, trains for 75 minutes, exports; goes on after a stop.
+train: .venv/.test
+	$(PIP) $(TORCH) -e '.[train]'
+	$(BIN)/python -m a4agent.offline.training
 
 docs: .venv/.test
 	$(BIN)/mkdocs build --strict -q

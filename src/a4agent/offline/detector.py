@@ -1,23 +1,26 @@
 """`offline:parts` as a detector: the box and the innermost point of the part that a phrase names.
 
-It finds one object, the main one, and one part of it. There is no recognition: a phrase about something
-that is not in the picture still gets the nearest thing to it.
+`scores` is how likely the thing is of the kind that was named: low when the picture shows no such thing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from a4agent.errors import A4Error
+from a4agent.imaging.masks import deepest_point, tight_box
+from a4agent.offline.choice import choose
+from a4agent.offline.eye import forget, look
 from a4agent.offline.phrases import wanted
 from a4agent.offline.revision import revision
-from a4agent.offline.scene import forget, scene_of
 from a4agent.protocols import DetectRequest, ExpertBase
 from a4agent.types import Detection
 
 
 class OfflineDetector(ExpertBase):
-    """A Detector of one box and one point; none where nothing stands out from the background."""
+    """A Detector of one box and one point; none where the network sees no thing."""
 
     def __init__(self, *, threads: int = 0) -> None:
         super().__init__("offline:parts", revision=revision())
@@ -27,15 +30,17 @@ class OfflineDetector(ExpertBase):
         return [self._detect(request) for request in requests]
 
     def _detect(self, request: DetectRequest) -> Detection:
-        scene = scene_of(request.image, self.threads)
-        what = wanted(request.phrase)
-        region = scene.region(what)
-        if region is None:
-            return Detection(text="nothing stands out from the background")
+        choice = choose(wanted(request.phrase), look(request.image, self.threads))
+        mask = choice.mask if choice else np.zeros((1, 1), bool)
+        box, point = tight_box(mask), deepest_point(mask)
+        if choice is None or box is None or point is None:
+            return Detection(text="no thing stands out from the background")
+        kind = max(choice.thing.kinds, key=choice.thing.kinds.__getitem__)
         return Detection(
-            boxes_xyxy=scene.box_xyxy(region)[None],
-            points_xy=scene.point_xy(region)[None],
-            text=f"{request.phrase!r} read as {what.shape!r}",
+            boxes_xyxy=box[None],
+            points_xy=point[None],
+            scores=np.array([choice.match], np.float32),
+            text=f"{request.phrase!r} in a thing that looks like: {kind}",
         )
 
     def close(self) -> None:

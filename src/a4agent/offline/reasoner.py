@@ -8,13 +8,13 @@ It reads the task from the paper's templates and from nothing else; the network 
 
 from __future__ import annotations
 
-import importlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from a4agent.errors import A4Error, RefusedAnswer, UnreadableAnswer
+from a4agent.offline import eye
 from a4agent.offline.decisions import decide
 from a4agent.offline.revision import revision
 from a4agent.offline.wording import Decision
@@ -30,7 +30,7 @@ _DREAMER_TASK = re.compile(r"The given TASK is:\s*(.*)\Z", re.DOTALL)
 _NO_KINDS = frozenset(["none", "other"])
 RECOGNISED = 0.6
 """From this probability on, a thing in the picture counts as recognised."""
-RULED_OUT = 0.05
+RULED_OUT = 0.005
 """A kind is missing if no thing in the picture has it with this probability."""
 
 
@@ -60,15 +60,8 @@ class OfflineReasoner(ExpertBase):
 
 
 def things_in(image: Image, threads: int = 0) -> tuple[tuple[str, ...], frozenset[str]]:
-    """The kinds of thing recognised in a picture, the likeliest first, and the kinds that it does not show.
-
-    Both are empty where the network is not installed.
-    """
-    try:
-        eye = importlib.import_module("a4agent.offline.eye")
-        things: Sequence[Mapping[str, float]] = [thing.kinds for thing in eye.look(image, threads)]
-    except (ModuleNotFoundError, A4Error):
-        return (), frozenset()
+    """The kinds of thing recognised in a picture, the likeliest first, and the kinds that it does not show."""
+    things = [thing.kinds for thing in eye.look(image, threads)]
     likeliest = [max(kinds.items(), key=lambda item: item[1]) for kinds in things]
     seen = tuple(dict.fromkeys(kind for kind, p in likeliest if p >= RECOGNISED and kind not in _NO_KINDS))
     known = {kind for kinds in things for kind in kinds} - _NO_KINDS

@@ -1,7 +1,7 @@
-"""`offline:parts` as a segmenter: the part, object or piece of material that a box and points mark.
+"""`offline:parts` as a segmenter: the thing, part or piece of material that a box and points mark.
 
-The regions that some phrase could mean come first; a prompt that fits none of them gets what stands out
-inside its box, or the even-coloured patch around its points.
+Regions that some phrase could mean come first; a prompt that fits none of them gets what stands out inside its box, or
+the even-coloured patch around its points.
 """
 
 from __future__ import annotations
@@ -11,9 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from a4agent.errors import A4Error, require
+from a4agent.imaging.masks import tight_box
+from a4agent.offline.choice import regions
 from a4agent.offline.colour import to_lab
+from a4agent.offline.eye import SeenObject, forget, look
 from a4agent.offline.revision import revision
-from a4agent.offline.scene import Photograph, forget, scene_of
 from a4agent.offline.silhouette import cut_out
 from a4agent.protocols import ExpertBase, Prompt, Segmentation, SegmentRequest
 
@@ -32,68 +34,72 @@ class OfflineSegmenter(ExpertBase):
         return [self._segment(request) for request in requests]
 
     def _segment(self, request: SegmentRequest) -> Segmentation:
-        scene = scene_of(request.image, self.threads)
-        width, height = scene.size_wh
+        things = look(request.image, self.threads)
+        width, height = request.image.size
         masks = np.zeros((len(request.prompts), 1, height, width), bool)
         scores = np.zeros((len(request.prompts), 1), np.float32)
         for index, prompt in enumerate(request.prompts):
-            masks[index, 0], scores[index, 0] = self._one(scene, prompt)
+            masks[index, 0], scores[index, 0] = self._one(request, things, prompt)
         return Segmentation(masks, scores)
 
-    def _one(self, scene: Photograph, prompt: Prompt) -> tuple[np.ndarray, float]:
+    def _one(self, request: SegmentRequest, things: Sequence[SeenObject], prompt: Prompt) -> tuple[np.ndarray, float]:
         """A mask (H, W) bool and how well it fits the prompt, 0..1."""
-        region, fit = _best_region(scene, prompt)
-        if region is not None and (fit >= FITS or prompt.box_xyxy is None):
-            return scene.to_image(region), fit
-        if prompt.box_xyxy is not None:
-            return self._inside(scene, prompt.box_xyxy), 0.5
-        return _patch(scene, prompt.points_xy), 0.3
+        mask, fit = _best_region(things, prompt)
+        if mask is not None and (fit >= FITS or prompt.box_xyxy is None):
+            return mask, fit
+        if prompt.box_xyxy is None:
+            return _patch(np.asarray(request.image.convert("RGB")), prompt.points_xy), 0.3
+        return self._inside(request, things, prompt.box_xyxy), 0.5
 
-    def _inside(self, scene: Photograph, box_xyxy: np.ndarray) -> np.ndarray:
-        """What stands out inside a box: of the main object, else by looking at the box alone."""
-        width, height = scene.size_wh
-        box = np.zeros((height, width), bool)
+    def _inside(self, request: SegmentRequest, things: Sequence[SeenObject], box_xyxy: np.ndarray) -> np.ndarray:
+        """What stands out inside a box: of what stands out most, else by looking at the box alone."""
+        width, height = request.image.size
         x0, y0 = np.clip(np.floor(box_xyxy[:2]), 0, [width - 1, height - 1]).astype(int)
         x1, y1 = np.clip(np.ceil(box_xyxy[2:]), [x0 + 1, y0 + 1], [width, height]).astype(int)
+        box = np.zeros((height, width), bool)
         box[y0:y1, x0:x1] = True
-        if scene.silhouette is not None:
-            part = scene.to_image(scene.silhouette.mask) & box
+        if things and (main := things[0].silhouette):
+            part = main.to_image(main.mask, (width, height)) & box
             if part.sum() > 0.2 * box.sum():
                 return part
         if min(x1 - x0, y1 - y0) < 8:
             return box
-        found = cut_out(scene.rgb, box, self.threads)
-        part = found.to_image(found.mask, scene.size_wh) & box
+        found = cut_out(np.asarray(request.image.convert("RGB")), box, self.threads)
+        part = found.to_image(found.mask, (width, height)) & box
         return part if part.any() else box
 
     def close(self) -> None:
         forget()
 
 
-def _best_region(scene: Photograph, prompt: Prompt) -> tuple[np.ndarray | None, float]:
+def _best_region(things: Sequence[SeenObject], prompt: Prompt) -> tuple[np.ndarray | None, float]:
     """The region that fits a prompt best: by its box, or the smallest around its points; all points inside it."""
     best, best_fit = None, 0.0
-    for region in scene.candidates:
-        inside = _share_inside(scene, region, prompt.points_xy)
-        if prompt.box_xyxy is not None:
-            fit = _overlap(scene.box_xyxy(region), prompt.box_xyxy) * (0.5 + 0.5 * inside)
-        else:
-            fit = float(inside == 1.0)
-        fit /= 1.0 + 0.1 * region.mean()  # of two that fit, a rim and what it surrounds, the smaller
-        if fit > best_fit:
-            best, best_fit = region, fit
+    for thing in things:
+        if prompt.box_xyxy is not None and _overlap(thing.box_xyxy, prompt.box_xyxy) == 0:
+            continue
+        for mask in regions(thing):
+            box = tight_box(mask)
+            if box is None:
+                continue
+            inside = _share_inside(mask, prompt.points_xy)
+            if prompt.box_xyxy is not None:
+                fit = _overlap(box, prompt.box_xyxy) * (0.5 + 0.5 * inside)
+                fit /= 1 + 0.1 * float(mask.sum() / np.prod(box[2:] - box[:2]))  # a rim, rather than what it surrounds
+            else:
+                fit = float(inside == 1.0) / (1.0 + float(mask.mean()))
+            if fit > best_fit:
+                best, best_fit = mask, fit
     return best, best_fit
 
 
-def _share_inside(scene: Photograph, region: np.ndarray, points_xy: np.ndarray) -> float:
-    if not len(points_xy) or scene.silhouette is None:
+def _share_inside(mask: np.ndarray, points_xy: np.ndarray) -> float:
+    if not len(points_xy):
         return 1.0
-    x0, y0, x1, y1 = scene.silhouette.box_xyxy
-    height, width = region.shape
-    columns = np.floor((points_xy[:, 0] - x0) * width / (x1 - x0)).astype(int)
-    rows = np.floor((points_xy[:, 1] - y0) * height / (y1 - y0)).astype(int)
+    height, width = mask.shape
+    columns, rows = np.floor(points_xy).astype(int).T
     within = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
-    return float(np.mean([w and bool(region[r, c]) for w, r, c in zip(within, rows, columns, strict=True)]))
+    return float((mask[rows.clip(0, height - 1), columns.clip(0, width - 1)] & within).mean())
 
 
 def _overlap(a: np.ndarray, b: np.ndarray) -> float:
@@ -104,11 +110,11 @@ def _overlap(a: np.ndarray, b: np.ndarray) -> float:
     return shared / union if union > 0 else 0.0
 
 
-def _patch(scene: Photograph, points_xy: np.ndarray) -> np.ndarray:
+def _patch(rgb: np.ndarray, points_xy: np.ndarray) -> np.ndarray:
     """The even-coloured patches (H, W) bool that points lie in."""
     cv2 = require("cv2", extra="offline")
-    width, height = scene.size_wh
-    lab = np.ascontiguousarray(to_lab(scene.rgb, blur=1.0))
+    height, width = rgb.shape[:2]
+    lab = np.ascontiguousarray(to_lab(rgb, blur=1.0))
     patch = np.zeros((height + 2, width + 2), np.uint8)
     flags = 4 | cv2.FLOODFILL_MASK_ONLY | cv2.FLOODFILL_FIXED_RANGE | (1 << 8)
     for x, y in np.clip(np.floor(points_xy), 0, [width - 1, height - 1]).astype(int):

@@ -53,8 +53,11 @@ class Silhouette:
         return full
 
 
-def find_object(rgb: np.ndarray, threads: int = 0) -> Silhouette | None:
-    """The main object of a photograph (H, W, 3) uint8, None if nothing stands out from the background."""
+def find_object(rgb: np.ndarray, threads: int = 0, seen: np.ndarray | None = None) -> Silhouette | None:
+    """The main object of a photograph (H, W, 3) uint8, None if nothing stands out from the background.
+
+    `seen` (H, W) is the photograph's saliency, if it is known.
+    """
     cv2 = require("cv2", extra="offline")
     height, width = rgb.shape[:2]
     if min(height, width) < 8:
@@ -64,7 +67,8 @@ def find_object(rgb: np.ndarray, threads: int = 0) -> Silhouette | None:
     if int(picture.max()) - int(picture.min()) < 8:
         return None
     picture = well_lit(picture)
-    seen = saliency(picture, threads)
+    if seen is None or seen.shape != picture.shape[:2]:
+        seen = saliency(picture, threads)
     blob = _largest(seen)
     thing = _innermost(picture, np.ones(picture.shape[:2], bool) if blob is None else blob)
     if blob is None:
@@ -75,6 +79,11 @@ def find_object(rgb: np.ndarray, threads: int = 0) -> Silhouette | None:
         blob = _centre_of(picture, blob, threads)
     found = cut_out(picture, blob if thing is None else thing, threads, seen, by_colour=thing is not None)
     return Silhouette(_scaled(found.box_xyxy, 1 / shrink, width, height), found.mask, found.lab)
+
+
+def enlarged(silhouette: Silhouette, factor: float, size_wh: tuple[int, int]) -> Silhouette:
+    """The silhouette in a picture of `size_wh` that is larger by `factor`."""
+    return Silhouette(_scaled(silhouette.box_xyxy, factor, *size_wh), silhouette.mask, silhouette.lab)
 
 
 def cut_out(

@@ -1,0 +1,233 @@
+"""Which thing in a picture a phrase means, and which region of it.
+
+choose(wanted("the handle of the black mug"), look(image)) -> Choice(thing=<the black mug>, region=<its handle>)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from a4agent.errors import require
+from a4agent.offline.eye import SIDE, SeenObject
+from a4agent.offline.phrases import Wanted, everything
+from a4agent.offline.vocabulary import GRIP, KINDS, PARTS, WORK
+
+ALIKE: tuple[frozenset[str], ...] = (
+    frozenset({"knife", "saw"}),
+    frozenset({"spoon", "shovel", "trowel", "turner", "fork", "brush"}),
+    frozenset({"mug", "cup", "kettle", "bottle"}),
+    frozenset({"bowl", "pan", "cup"}),
+    frozenset({"drawer", "door", "cabinet", "microwave", "coffee machine", "box"}),
+    frozenset({"switch", "knob", "lever", "faucet"}),
+    frozenset({"pliers", "scissors", "wrench"}),
+    frozenset({"hammer", "wrench"}),
+)
+"""Kinds that the network takes for each other."""
+STAND_INS = {
+    "grip": ("grip", "control"), "work": ("work", "lid", "spout"), "body": ("body", "inside"),
+    "inside": ("inside", "work"), "control": ("control", "grip"), "lid": ("lid", "inside", "spout"),
+    "spout": ("spout", "lid"),
+}  # fmt: skip
+"""What to look for when a thing has no such part: the first that it has."""
+BY_OUTLINE = frozenset(
+    {
+        "whole",
+        "grip",
+        "handle",
+        "work",
+        "tip",
+        "loop",
+        "arm",
+        "spout",
+        "body",
+        "opening",
+        "rim",
+        "middle",
+        "lower",
+        "bottom",
+        "top",
+    }
+)
+"""Shapes that the rules over an outline find best."""
+ENDS = {"grip": "work", "work": "grip"}
+SWAPPED = 0.2
+"""From this difference of "grip" less "work" on, the network turns the rules' two ends round."""
+LEAST_PART = 16
+"""Pixels of a thing's window, of 160 x 160."""
+NEAR_COLOURS = {
+    "silver": ("grey", "white"), "gold": ("yellow", "brown", "orange"), "beige": ("brown", "white", "yellow"),
+    "grey": ("white", "black"), "brown": ("orange", "beige", "red"), "orange": ("brown", "red", "yellow"),
+    "pink": ("red", "purple"), "purple": ("pink", "blue"), "white": ("grey", "beige"), "black": ("grey",),
+    "red": ("orange", "pink", "brown"), "yellow": ("orange", "beige"), "transparent": ("white", "grey"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """A thing, the `mask` (H, W) bool of its part, and how likely the thing is of the named kind, 0..1."""
+
+    thing: SeenObject
+    mask: np.ndarray
+    match: float
+
+
+def choose(wanted: Wanted, things: Sequence[SeenObject]) -> Choice | None:
+    """What a phrase means among the things of a picture; None where there is none."""
+    if not things:
+        return None
+    scores = [_fit(wanted, thing) for thing in things]
+    if wanted.side or wanted.size or wanted.colour:
+        scores = _told_apart(wanted, things, scores)
+    best = int(np.argmax(scores))
+    return Choice(things[best], _mask(wanted, things[best]), match(wanted, things[best]))
+
+
+def match(wanted: Wanted, thing: SeenObject) -> float:
+    """How likely a thing is of the named kind; how likely it is a thing at all if the network knows no such kind."""
+    if wanted.kind in KINDS:
+        return thing.kinds[wanted.kind]
+    return 1 - thing.kinds["none"]
+
+
+def regions(thing: SeenObject) -> Iterator[np.ndarray]:
+    """Every region of a thing that some phrase could mean, each (H, W) bool."""
+    if thing.silhouette and thing.anatomy:
+        found: dict[bytes, np.ndarray] = {}
+        for wanted in everything():
+            region = thing.anatomy.find(wanted)
+            found.setdefault(np.packbits(region).tobytes(), region)
+        for region in found.values():
+            yield thing.silhouette.to_image(region, thing.size_wh)
+    else:
+        yield thing.mask
+    for names in (*((name,) for name in PARTS[1:]), ("body", "inside"), ("inside", "work")):
+        region = thing.part(*names)
+        pieces = _pieces(region) if region.sum() >= LEAST_PART else []
+        for piece in (region, *pieces) if len(pieces) > 1 else pieces:
+            yield thing.region(piece)
+
+
+def _fit(wanted: Wanted, thing: SeenObject) -> float:
+    """How well a thing fits a phrase, whatever its colour, side and size."""
+    score = thing.objectness * (0.6 + 0.4 * np.clip(thing.contrast, 0, 1))
+    if wanted.kind in KINDS:
+        family = frozenset().union(*(group for group in ALIKE if wanted.kind in group))
+        near = sum(thing.kinds[kind] for kind in family if kind != wanted.kind)
+        score *= 0.05 + thing.kinds[wanted.kind] + 0.4 * near
+    if wanted.part != "whole" and not (thing.silhouette and wanted.shape in BY_OUTLINE):
+        score *= 0.3 + 0.7 * min(1.0, thing.part(wanted.part).sum() / 60)
+    return float(score)
+
+
+def _told_apart(wanted: Wanted, things: Sequence[SeenObject], scores: list[float]) -> list[float]:
+    """The scores times how well each thing's colour, side and size fit, among those that fit otherwise."""
+    best = max(scores)
+    rivals = [k for k, score in enumerate(scores) if score > 0.2 * best]
+    centres = np.array([(things[k].box_xyxy[:2] + things[k].box_xyxy[2:]) / 2 for k in rivals])
+    extents = np.array([(things[k].box_xyxy[2:] - things[k].box_xyxy[:2]).max() for k in rivals])
+    new = [0.01 * score for score in scores]
+    for index, k in enumerate(rivals):
+        factor = 1.0
+        if wanted.colour:
+            near = NEAR_COLOURS.get(wanted.colour, ())
+            factor *= 1.0 if things[k].colour == wanted.colour else 0.3 if things[k].colour in near else 0.05
+        if wanted.side:
+            factor *= 0.02 + _share(_along(wanted.side, centres), index)
+        if wanted.size:
+            factor *= 0.02 + _share(extents if wanted.size in ("large", "long") else -extents, index)
+        new[k] = scores[k] ** 0.5 * factor
+    return new
+
+
+def _along(side: str, centres: np.ndarray) -> np.ndarray:
+    """How far each centre (n, 2) lies towards a side."""
+    x, y = centres.T
+    middle = -np.abs(x - x.mean())
+    return {"left": -x, "right": x, "upper": -y, "lower": y, "front": y, "back": -y, "middle": middle}[side]
+
+
+def _share(values: np.ndarray, index: int) -> float:
+    """0 for the least of values (n,), 1 for the greatest."""
+    spread = float(np.ptp(values))
+    return 1.0 if spread == 0 else float((values[index] - values.min()) / spread) ** 2
+
+
+def _mask(wanted: Wanted, thing: SeenObject) -> np.ndarray:
+    """The part (H, W) bool that is wanted; the whole thing if it has no part like it.
+
+    Where the thing has a clear outline, rules cut it into ends, loops and what sticks out, more exactly than the
+    network does, and the network says which of two ends is the grip. Parts that lie on the thing, and things without
+    a clear outline, are the network's alone.
+    """
+    if not (thing.silhouette and thing.anatomy and wanted.shape in BY_OUTLINE) or wanted.part_side:
+        return thing.region(_region(wanted, thing))
+
+    def cut(shape: str) -> np.ndarray:
+        assert thing.silhouette
+        assert thing.anatomy
+        return thing.silhouette.to_image(thing.anatomy.find(replace(wanted, shape=shape)), thing.size_wh)
+
+    mask = cut(wanted.shape)
+    if wanted.shape not in ENDS:
+        return mask
+    other = cut(ENDS[wanted.shape])
+    grip, work = (mask, other) if wanted.shape == "grip" else (other, mask)
+    return other if _is_swapped(thing, grip, work) else mask
+
+
+def _is_swapped(thing: SeenObject, grip: np.ndarray, work: np.ndarray) -> bool:
+    """Whether the network is sure that two ends (H, W) of a thing are the other way round."""
+    likely = thing.maps[GRIP] - thing.maps[WORK]
+    ends = [likely[thing.in_window(end)] for end in (grip, work)]
+    return all(end.size > 0 for end in ends) and float(ends[1].mean() - ends[0].mean()) > SWAPPED
+
+
+def _region(wanted: Wanted, thing: SeenObject) -> np.ndarray:
+    """The part that is wanted by the network's maps, (SIDE, SIDE) bool in the thing's window."""
+    if wanted.part == "whole":
+        return thing.shown
+    for name in STAND_INS[wanted.part]:
+        region = thing.part(name)
+        if region.sum() >= LEAST_PART:
+            return _finer(wanted, thing, region)
+    likely = thing.maps[PARTS.index(wanted.part)] * thing.shown
+    faint = likely > 0.5 * max(float(likely.max()), 1e-6)
+    return faint if likely.max() > 0.15 and faint.sum() >= LEAST_PART else thing.shown
+
+
+def _finer(wanted: Wanted, thing: SeenObject, region: np.ndarray) -> np.ndarray:
+    """The piece of a region on the side, of the colour or of the shape that was named."""
+    pieces = _pieces(region)
+    side = wanted.part_side
+    if side and len(pieces) > 1:
+        centres = np.array([np.argwhere(piece).mean(0)[::-1] for piece in pieces])
+        return pieces[int(np.argmax(_along(side, centres)))]
+    if wanted.shape == "tip" and thing.part("grip").any():
+        return _end(region, thing.part("grip"))
+    if wanted.shape in ("rim", "bottom", "top") and wanted.part == "body":
+        rows = np.flatnonzero(region.any(1))
+        cut = rows[0] + (rows[-1] - rows[0]) * (0.8 if wanted.shape == "bottom" else 0.2)
+        below = np.arange(SIDE)[:, None] >= cut
+        return region & (below if wanted.shape == "bottom" else ~below)
+    return region
+
+
+def _end(region: np.ndarray, grip: np.ndarray) -> np.ndarray:
+    """The third of a region that is farthest from the grip."""
+    away = np.argwhere(region) - np.argwhere(grip).mean(0)
+    distance = np.hypot(*away.T)
+    far = np.zeros_like(region)
+    far[tuple(np.argwhere(region)[distance >= distance.min() + 0.75 * np.ptp(distance)].T)] = True
+    return far
+
+
+def _pieces(region: np.ndarray) -> list[np.ndarray]:
+    """The connected pieces of a region, the largest first, without specks."""
+    cv2 = require("cv2", extra="offline")
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8))
+    sizes = stats[1:, cv2.CC_STAT_AREA]
+    order = 1 + np.argsort(-sizes)
+    return [labels == k for k in order if stats[k, cv2.CC_STAT_AREA] >= 0.1 * sizes.max()] if count > 1 else []
