@@ -134,7 +134,7 @@ def test_the_profile_accepts_what_is_there_and_abstains_from_what_is_not() -> No
         there = agent.predict(COFFEE, "fill the cup")
         absent = [agent.predict(COFFEE, ask) for ask in ("drive the nail in with the hammer", "open the umbrella")]
         cautious = A4Agent.from_profile("offline", {"verifier.accept": 1.0}).predict(COFFEE, "fill the cup")
-    assert (there.status, there.confidence is not None and there.confidence > 0.9) == ("ok", True)
+    assert (there.status, there.confidence is not None and there.confidence > 0.7) == ("ok", True)
     assert [answer.status for answer in absent] == ["abstained"] * 2
     assert all(answer.mask.any() and answer.confidence is not None and answer.confidence < 0.3 for answer in absent)
     assert (cautious.status, cautious.confidence) == ("abstained", there.confidence)
