@@ -67,11 +67,14 @@ NEAR_COLOURS = {
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """A thing, the `mask` (H, W) bool of its part, and how likely the thing is of the named kind, 0..1."""
+    """A thing, the `mask` (H, W) bool of its part, and how likely the thing is of the named kind, 0..1.
+
+    `match` is None where no kind was named that the network knows.
+    """
 
     thing: SeenObject
     mask: np.ndarray
-    match: float
+    match: float | None
 
 
 def choose(wanted: Wanted, things: Sequence[SeenObject]) -> Choice | None:
@@ -85,11 +88,9 @@ def choose(wanted: Wanted, things: Sequence[SeenObject]) -> Choice | None:
     return Choice(things[best], _mask(wanted, things[best]), match(wanted, things[best]))
 
 
-def match(wanted: Wanted, thing: SeenObject) -> float:
-    """How likely a thing is of the named kind; how likely it is a thing at all if the network knows no such kind."""
-    if wanted.kind in KINDS:
-        return thing.kinds[wanted.kind]
-    return 1 - thing.kinds["none"]
+def match(wanted: Wanted, thing: SeenObject) -> float | None:
+    """How likely a thing is of the named kind; None if the network knows no such kind."""
+    return thing.kinds[wanted.kind] if wanted.kind in KINDS else None
 
 
 def regions(thing: SeenObject) -> Iterator[np.ndarray]:

@@ -39,7 +39,7 @@ class OfflineDetector(ExpertBase):
         return Detection(
             boxes_xyxy=box[None],
             points_xy=point[None],
-            scores=np.array([choice.match], np.float32),
+            scores=None if choice.match is None else np.array([choice.match], np.float32),
             text=f"{request.phrase!r} in a thing that looks like: {kind}",
         )
 
