@@ -86,4 +86,4 @@ def test_a_profile_that_does_not_exist_is_an_answer_not_an_error() -> None:
 
 def test_every_extra_is_looked_for() -> None:
     project = toml.loads((Path(__file__).parent.parent / "pyproject.toml").read_text())["project"]
-    assert set(requirements.EXTRAS) == set(project["optional-dependencies"]) - {"all", "test", "train"}
+    assert set(requirements.EXTRAS) == set(project["optional-dependencies"]) - {"all", "test"}

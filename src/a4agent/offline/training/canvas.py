@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from a4agent.imaging.load import read_pixels
 from a4agent.offline.training.grounds import ground, noise
 from a4agent.offline.training.outlines import Rng
 from a4agent.offline.training.paints import Paint
@@ -164,8 +165,8 @@ def expose(rng: Rng, image: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, 
         image = image + (image - blurred) * rng.uniform(0.3, 1.5)
     photograph = np.clip(image, 0, 255).astype(np.uint8)
     if rng.random() < 0.6:
-        packed = cv2.imencode(".jpg", photograph, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 96))])[1]
-        photograph = np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), np.uint8)
+        packed = cv2.imencode(".jpg", photograph[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 96))])[1]
+        photograph = read_pixels(packed.tobytes())
     if side != SIDE:
         photograph = np.asarray(cv2.resize(photograph, (SIDE, SIDE), interpolation=cv2.INTER_LINEAR), np.uint8)
     return photograph, np.asarray(cv2.resize(parts, (SIDE, SIDE), interpolation=cv2.INTER_NEAREST), np.uint8)

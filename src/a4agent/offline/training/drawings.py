@@ -159,16 +159,18 @@ def _draw_nothing(rng: Rng, image: np.ndarray, light: float) -> None:
         for y in np.arange(rng.uniform(10, 40), size, rng.uniform(14, 50)):
             letters = "".join(chr(rng.integers(65, 122)) for _ in range(20))
             colour = tuple(float(v) for v in rng.uniform(0, 255, 3))
+            written = np.zeros(image.shape[:2], np.uint8)  # OpenCV 5 writes on bytes only
             cv2.putText(
-                image,
+                written,
                 letters,
                 (int(rng.integers(-20, 40)), int(y)),
                 int(rng.integers(0, 7)),
                 rng.uniform(0.4, 1.5),
-                colour,
+                (255,),
                 int(rng.integers(1, 4)),
                 cv2.LINE_AA,
             )
+            image += (written.astype(np.float32) / 255)[..., None] * (np.array(colour, np.float32) - image)
     elif pick < 0.75:  # leaves
         green = plain(rng).shade(1)
         leaves = [
