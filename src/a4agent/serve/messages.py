@@ -46,10 +46,10 @@ class CameraIn(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    fx: float = Field(gt=0, lt=1e6)
-    fy: float = Field(gt=0, lt=1e6)
-    cx: float = Field(gt=-1e6, lt=1e6)
-    cy: float = Field(gt=-1e6, lt=1e6)
+    fx: float = Field(gt=0, lt=1e6, strict=True)
+    fy: float = Field(gt=0, lt=1e6, strict=True)
+    cx: float = Field(gt=-1e6, lt=1e6, strict=True)
+    cy: float = Field(gt=-1e6, lt=1e6, strict=True)
 
 
 class SampleIn(BaseModel):
@@ -71,7 +71,7 @@ class SampleIn(BaseModel):
         None,
         description="A 16-bit PNG of the same size in base64, registered to the picture; 0 where nothing was measured.",
     )
-    depth_scale: float = Field(0.001, gt=0, le=10, description="Metres per unit of the depth.")
+    depth_scale: float = Field(0.001, gt=0, le=10, strict=True, description="Metres per unit of the depth.")
     camera: CameraIn | None = Field(None, description="Needed with `depth`.")
 
 
@@ -280,11 +280,11 @@ def from_form(fields: Mapping[str, object], files: Mapping[str, bytes], limits: 
     if "depth" in fields:
         raise Refused(422, "depth: send it as a file")
     given = {**fields, "image": "a file"}
-    if isinstance(camera := fields.get("camera"), str):
+    for name in {"camera", "depth_scale"} & set(fields):
         try:
-            given["camera"] = json.loads(camera)
+            given[name] = json.loads(str(fields[name]))
         except (ValueError, RecursionError) as error:
-            raise Refused(422, f"camera: not JSON ({str(error)[:200]})") from error
+            raise Refused(422, f"{name}: not JSON ({str(error)[:200]})") from error
     return _with_picture(_validated(SampleIn, given), files["image"], files.get("depth"), limits, limits.pixels)
 
 
