@@ -55,6 +55,8 @@ BY_OUTLINE = frozenset(
 ENDS = {"grip": "work", "work": "grip"}
 SWAPPED = 0.2
 """From this difference of "grip" less "work" on, the network turns the rules' two ends round."""
+UNNAMED = frozenset({"none", "other"})
+"""Kinds that are no name for a thing."""
 LEAST_PART = 16
 """Pixels of a thing's window, of 160 x 160."""
 NEAR_COLOURS = {
@@ -90,7 +92,7 @@ def choose(wanted: Wanted, things: Sequence[SeenObject]) -> Choice | None:
 
 def match(wanted: Wanted, thing: SeenObject) -> float | None:
     """How likely a thing is of the named kind; None if the network knows no such kind."""
-    return thing.kinds[wanted.kind] if wanted.kind in KINDS else None
+    return thing.kinds[wanted.kind] if wanted.kind in KINDS and wanted.kind not in UNNAMED else None
 
 
 def regions(thing: SeenObject) -> Iterator[np.ndarray]:
