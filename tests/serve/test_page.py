@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
 import os
@@ -11,11 +12,13 @@ import urllib.error
 import urllib.request
 import uuid
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from fastapi import FastAPI
 from PIL import Image
 
 from a4agent.agent import A4Agent
@@ -43,9 +46,7 @@ pytestmark = [
     # gradio 6.31 counts its own events with an option and an argument that pandas 3 deprecates.
     pytest.mark.filterwarnings("ignore:'future.no_silent_downcasting' is deprecated"),
     pytest.mark.filterwarnings("ignore:The copy keyword is deprecated"),
-    # It also leaves the file of an example open, and the socket pair of an event loop.
-    pytest.mark.filterwarnings("ignore:unclosed <socket.socket fd=[0-9]+, family=1, type=1:ResourceWarning"),
-    pytest.mark.filterwarnings("ignore:unclosed event loop:ResourceWarning"),
+    # It also leaves the file of an example open.
     pytest.mark.filterwarnings("ignore:unclosed file <_io.BufferedReader name='.*a4-uploads-:ResourceWarning"),
 ]
 
@@ -66,7 +67,15 @@ def load(settings: Settings) -> A4Agent:
 @pytest.fixture(scope="module")
 def url() -> Iterator[str]:
     pytest.importorskip("gradio", reason="needs the extra app")
-    with http_server.in_thread(create_page(load_settings, load=load, check=check)) as url:
+
+    async def inside_a_loop() -> FastAPI:
+        return create_page(load_settings, load=load, check=check)
+
+    # Outside, gradio's safe_get_lock starts an event loop for each lock and never closes it. In a thread of its own,
+    # as playwright may run a loop in this one.
+    with ThreadPoolExecutor(1) as thread:
+        page = thread.submit(lambda: asyncio.run(inside_a_loop())).result()
+    with http_server.in_thread(page) as url:
         yield url
 
 
