@@ -238,6 +238,33 @@ def test_a_forged_upload_without_its_mark_reads_no_file_of_the_server(url: str, 
     assert "upload the photo on this page" in json.dumps(event)
 
 
+@pytest.mark.parametrize("route", ["file=", "file/"])
+@pytest.mark.parametrize("scheme", ["https://", "http://", "https:%2F%2F", "%68ttps://"])
+def test_no_route_fetches_an_address(url: str, route: str, scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked_up: list[str] = []
+
+    async def look_up(host: str) -> str:
+        looked_up.append(host)
+        raise ValueError("the test fetches nothing")
+
+    monkeypatch.setattr("gradio.route_utils.safehttpx.async_validate_url", look_up)
+    with pytest.raises(urllib.error.HTTPError) as caught:
+        urllib.request.urlopen(f"{url}/gradio_api/{route}{scheme}example.org/a.png", timeout=30)
+    assert not looked_up
+    assert caught.value.code == 403
+    assert "fetches no addresses" in caught.value.read().decode()
+    caught.value.close()
+
+
+def test_no_recording_reaches_ffmpeg(url: str) -> None:
+    for path in ("/gradio_api/process_recording", "/process_recording", "/gradio_api/process_recording/"):
+        with pytest.raises(urllib.error.HTTPError) as caught:
+            urllib.request.urlopen(urllib.request.Request(url + path, b"a film"), timeout=30)
+        assert caught.value.code == 404
+        assert "takes no recordings" in caught.value.read().decode()
+        caught.value.close()
+
+
 def test_a_visitor_cannot_name_a_profile_file(url: str, tmp_path: Path) -> None:
     forged = tmp_path / "forged.toml"
     forged.write_text("")

@@ -26,7 +26,7 @@ from a4agent.config import Settings, profile_names
 from a4agent.errors import require
 from a4agent.requirements import Missing, check_settings
 from a4agent.serve import EXAMPLES_FOLDER, page_views
-from a4agent.serve.admission import CallerCheck
+from a4agent.serve.admission import CallerCheck, Refused
 from a4agent.serve.page_actions import MAX_UPLOAD_BYTES, Profiles, Visit
 
 os.environ.setdefault("GRADIO_ANALYTICS_ENABLED", "False")
@@ -49,6 +49,7 @@ POLICY = (
 )
 """With this header the browser refuses everything from other hosts."""
 
+NO_ADDRESSES = "This page fetches no addresses; upload the photo."
 PICK_A_PROFILE = """
 const mark = () => element.querySelectorAll('input[type=radio]').forEach(i => { i.checked = i.value === props.value; });
 element.addEventListener('change', event => {
@@ -218,7 +219,7 @@ def _no_addresses(gr: Any, move: Callable[[Any], Awaitable[Any]]) -> Callable[[A
 
     async def uploaded(path: Any) -> Any:
         if "://" in str(path):
-            raise gr.Error("This page fetches no addresses; upload the photo.")
+            raise gr.Error(NO_ADDRESSES)
         return await move(path)
 
     return uploaded
@@ -229,12 +230,20 @@ def _examples() -> list[list[str]]:
 
 
 class _PageCheck(CallerCheck):
-    """Adds the content security policy; without a password, refuses pages of other sites."""
+    """Adds the content security policy and refuses routes of gradio's that this page does without.
+
+    Its file route fetches addresses for a caller, and its recordings start ffmpeg on what a caller sends. Without a
+    password, pages of other sites are refused too.
+    """
 
     def __init__(self, app: ASGIApp, password: bool) -> None:
         super().__init__(app, None, {"Content-Security-Policy": POLICY})
         self.password = password
 
     def check(self, scope: Scope) -> None:
+        if "://" in scope["path"]:
+            raise Refused(403, NO_ADDRESSES)
+        if scope["path"].rstrip("/").endswith("/process_recording"):
+            raise Refused(404, "this page takes no recordings")
         if not self.password:  # else gradio asks for it
             super().check(scope)
