@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import io
 import json
 import os
@@ -13,6 +14,7 @@ import urllib.request
 import uuid
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -254,6 +256,26 @@ def test_no_route_fetches_an_address(url: str, route: str, scheme: str, monkeypa
     assert caught.value.code == 403
     assert "fetches no addresses" in caught.value.read().decode()
     caught.value.close()
+
+
+def test_a_visitor_cannot_name_the_upload_of_another(url: str) -> None:
+    photo = PHOTO.read_bytes() + uuid.uuid4().bytes
+    body = (
+        b'--B\r\nContent-Disposition: form-data; name="files"; filename="mine.jpg"\r\n\r\n' + photo + b"\r\n--B--\r\n"
+    )
+    kind = {"Content-Type": "multipart/form-data; boundary=B"}
+    with urllib.request.urlopen(urllib.request.Request(f"{url}/gradio_api/upload", body, kind), timeout=30) as answer:
+        path = Path(json.load(answer)[0])
+    with urllib.request.urlopen(f"{url}/gradio_api/file={path}", timeout=30) as answer:
+        assert answer.read() == photo  # who uploaded it was told its address
+    installed = Path(str(find_spec("gradio.utils").origin)).with_name("hash_seed.txt")  # type: ignore[union-attr]
+    for seed in (b"", installed.read_bytes().strip() if installed.exists() else b""):
+        assert path.parent.name != hashlib.sha256(seed + photo).hexdigest()
+    for listing in (path.parent, path.parent.parent, path.parent / "*", path.parent / "yours.jpg"):
+        with pytest.raises(urllib.error.HTTPError) as caught:
+            urllib.request.urlopen(f"{url}/gradio_api/file={listing}", timeout=30)
+        assert caught.value.code == 403
+        caught.value.close()
 
 
 def test_no_recording_reaches_ffmpeg(url: str) -> None:

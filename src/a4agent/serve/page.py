@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import os
+import secrets
 import shutil
 import tempfile
 from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
@@ -94,6 +95,8 @@ def create_page(
     names = sorted({*profile_names(), profile}, key=lambda name: (name != profile, name))
     profiles = Profiles(settings, load, check, names)
     os.environ.setdefault("GRADIO_TEMP_DIR", _upload_folder())
+    processing: Any = require("gradio.processing_utils", extra="app")
+    processing.hash_seed = secrets.token_bytes(32)  # gradio's own stays the same, also in every copy of an image
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
