@@ -17,7 +17,6 @@ import base64
 import http.client
 import io
 import json
-import os
 import re
 import statistics
 import subprocess
@@ -137,6 +136,7 @@ def serve(profile: str) -> None:
     from a4agent.serve.api import create_app
     from a4agent.testing import scripted_agent
 
+    http_server.return_freed_memory()  # as `a4 serve` does
     agent = scripted_agent(seconds=0.01) if profile == "scripted" else A4Agent.from_profile(profile)
     with http_server.in_thread(create_app([agent], limits=Limits(queue=8))) as url:
         print(url, flush=True)
@@ -151,9 +151,7 @@ def serve(profile: str) -> None:
 def soak(profile: str, clients: int, count: int) -> dict[str, object]:
     """Send `count` requests with pictures of many sizes, and read the server's memory after every tenth of them."""
     command = [sys.executable, __file__, "--server", profile]
-    # glibc keeps freed pictures for later, how many depends on chance; with this, what is read is what is in use.
-    environment = {**os.environ, "MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
-    server = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
+    server = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert server.stdin
     assert server.stdout
     tallies = [Tally() for _ in range(clients)]
