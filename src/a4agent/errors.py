@@ -157,6 +157,12 @@ class BudgetExceeded(A4Error):
     """A budget of money or time is used up."""
 
 
+def first_problem(error: Any, whole: str) -> str:
+    """The first problem of a pydantic `ValidationError` as "spotter.pairing: ..."; `whole` names the value itself."""
+    first = error.errors(include_url=False, include_input=False)[0]
+    return f"{'.'.join(map(str, first['loc'])) or whole}: {first['msg']}"
+
+
 def nearest(name: str, known: Iterable[str]) -> str | None:
     """The known name most similar to `name`, or None."""
     found = difflib.get_close_matches(name, list(known), n=1, cutoff=0.55)

@@ -23,7 +23,7 @@ import numpy as np
 
 from a4agent.errors import DataError, UnknownNameError
 from a4agent.imaging.masks import deepest_point
-from a4agent.types import Status
+from a4agent.types import Status, finite_or_none
 
 MEASURES = {"giou": "gIoU", "ciou": "cIoU", "p50": "P@50", "p50_95": "P@50:95"}
 """The measures of a `Scores`, and how people write them."""
@@ -118,8 +118,8 @@ class Scores:
     def to_dict(self) -> dict[str, Any]:
         """Ready for `json.dumps`: NaN as None."""
         values = asdict(self)
-        values["intervals"] = {name: [_json(end) for end in ends] for name, ends in self.intervals.items()}
-        return values | {name: _json(values[name]) for name in MEASURES}
+        values["intervals"] = {name: [finite_or_none(end) for end in ends] for name, ends in self.intervals.items()}
+        return values | {name: finite_or_none(values[name]) for name in MEASURES}
 
 
 @dataclass(frozen=True)
@@ -134,6 +134,10 @@ class Difference:
     def clear(self) -> bool:
         """The interval excludes 0."""
         return self.low > 0 or self.high < 0
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Ready for `json.dumps`: NaN as None."""
+        return {name: finite_or_none(value) for name, value in asdict(self).items()}
 
 
 @dataclass(frozen=True)
@@ -398,14 +402,16 @@ def _resample(table: np.ndarray, resamples: int, seed: int) -> np.ndarray:
     return np.stack([table[:, generator.integers(0, n, n)].sum(axis=1) for _ in range(resamples)])
 
 
+def interval(values: np.ndarray) -> tuple[float, float]:
+    """The middle 95 % of the values (k,) that are not NaN; NaN without any."""
+    defined = values[~np.isnan(values)]
+    low, high = np.percentile(defined, [2.5, 97.5]).tolist() if len(defined) else (math.nan, math.nan)
+    return low, high
+
+
 def _intervals(measures: np.ndarray) -> dict[str, tuple[float, float]]:
-    """The middle 95 % of each measure over resamples (k, 4)."""
-    intervals: dict[str, tuple[float, float]] = {}
-    for name, values in zip(MEASURES, measures.T, strict=True):
-        defined = values[~np.isnan(values)]
-        low, high = np.percentile(defined, [2.5, 97.5]) if len(defined) else (math.nan, math.nan)
-        intervals[name] = (float(low), float(high))
-    return intervals
+    """The interval of each measure over resamples (k, 4)."""
+    return {name: interval(values) for name, values in zip(MEASURES, measures.T, strict=True)}
 
 
 def _blank_prediction(row: Row) -> bool:
@@ -427,7 +433,3 @@ def _binary(mask: np.ndarray, which: str) -> np.ndarray:
     if mask.ndim != 2:
         raise DataError(f"a {which} mask is (H, W), not of shape {mask.shape}")
     return mask if mask.dtype == np.bool_ else mask != 0
-
-
-def _json(value: float) -> float | None:
-    return None if math.isnan(value) else value

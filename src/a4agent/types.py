@@ -18,6 +18,7 @@ mask, never None; a failure is an Affordance whose `status` and `error` say so.
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -84,6 +85,11 @@ class Usage:
     tokens_out: int = 0
     cost: float | None = None
     request_id: str = ""
+
+
+def finite_or_none(value: float | None) -> float | None:
+    """The number itself; None for NaN and infinity, which JSON cannot hold."""
+    return value if value is not None and math.isfinite(value) else None
 
 
 def no_boxes() -> np.ndarray:

@@ -9,7 +9,7 @@ import pytest
 
 from a4agent.config import Settings
 from a4agent.errors import DataError
-from a4agent.runs.manifest import Manifest, differences, git_state, prompt_hashes, settings_identity, settings_told
+from a4agent.runs.manifest import Manifest, differences, git_state, prompt_hashes, settings_identity, settings_shown
 
 
 def made(**changes: Any) -> Settings:
@@ -48,7 +48,7 @@ def test_what_no_answer_depends_on_is_not_part_of_a_configuration() -> None:
 
 
 def test_a_key_is_told_to_nobody() -> None:
-    told = settings_told(made(thinker__max_tokens=99))
+    told = settings_shown(made(thinker__max_tokens=99))
     assert "sk-1" not in str(told)
     assert told["thinker"]["vlm"]["api_key"] == "***"
     assert told["thinker"]["max_tokens"] == 99

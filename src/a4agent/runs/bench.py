@@ -13,7 +13,6 @@ import hashlib
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,24 +25,24 @@ from a4agent.config import Settings
 from a4agent.errors import DataError, InputError, UserError
 from a4agent.imaging.masks import Rle, decode_rle, encode_rle
 from a4agent.plugins import Plugins
-from a4agent.runs.manifest import Manifest, prompt_hashes, settings_identity, settings_told
+from a4agent.runs.manifest import Manifest, prompt_hashes, settings_identity, settings_shown
 from a4agent.runs.oracle import Oracle, given_of
 from a4agent.runs.store import Record, Run, RunWriter, read_run
-from a4agent.types import Affordance, Given, Query, Status
+from a4agent.types import Affordance, Given, Query, Status, finite_or_none
 
 RUNS = Path("runs")
-ENGINES = Plugins("a4agent.engines", "engine", "'local' is the one of this process.")
+ENGINES = Plugins("a4agent.engines", "engine", "'local' runs in this process.")
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Which samples of a benchmark: the first `limit`, after a shuffle with the seed `shuffle` if there is one."""
+    """Which samples of a benchmark: the first `limit`, after a shuffle if `shuffle` gives its seed."""
 
     limit: int | None = None
     shuffle: int | None = None
 
     def indices(self, size: int) -> list[int]:
-        """Positions in the benchmark, in the order in which they are asked; the same on every machine."""
+        """Positions in the benchmark, in the order of asking; the same on every machine."""
         chosen = list(range(size))
         if self.shuffle is not None:
             chosen.sort(key=lambda i: hashlib.sha256(f"{self.shuffle} {i}".encode()).digest())
@@ -52,10 +51,10 @@ class Selection:
 
 @dataclass
 class Progress:
-    """How far a run is. `scored` of `planned` samples have a record, `failed` of them are invalid or errors.
+    """How far a run has come: `scored` of `planned` samples have a record, `failed` of them are invalid or errors.
 
-    This session has `asked` so many of its `to_ask` samples; `cost` is its cost in US dollars.
-    `unscored` maps samples without a record (refused row, unreadable truth) to the reason.
+    This session has `asked` for that many of its `to_ask` samples, at a `cost` in US dollars. `unscored` maps samples
+    that cannot have a record (refused row, unreadable truth) to the reason.
     """
 
     planned: int
@@ -80,7 +79,7 @@ class Progress:
         return self._iou / self._counted if self._counted else float("nan")
 
     def count(self, row: metrics.Row, protocol: str, sign: int = 1) -> None:
-        """Add a row, or with `sign=-1` remove one that is replaced."""
+        """Add a row, or with `sign=-1` take back one that is replaced."""
         self.scored += sign
         self.failed += sign * row.failed
         value = metrics.iou(row, protocol)
@@ -93,7 +92,7 @@ class Progress:
 class Bench:
     """One configuration on one benchmark.
 
-    `retry` names statuses that are asked for again; `leaks` answers questions of `manifest.LEAKS`.
+    `retry` names the statuses to ask for again; `leaks` answers questions of `manifest.LEAKS`.
     """
 
     benchmark: Benchmark
@@ -129,7 +128,7 @@ class Bench:
                 "label": self.label,
                 "data": str(self.benchmark.root),
                 "licence": self.benchmark.licence,
-                "settings": settings_told(self.settings),
+                "settings": settings_shown(self.settings),
                 **({"leaks": dict(self.leaks)} if self.leaks else {}),
             },
         )
@@ -141,18 +140,18 @@ class Bench:
 
     @contextmanager
     def open(self, agent: A4Agent) -> Generator[Session, None, None]:
-        """Lock the run folder; iterate over the session to ask for the samples that it lacks.
+        """Lock the run folder; iterate over the session to ask for the missing samples.
 
         Raises:
             ConfigError: the folder belongs to another configuration.
-            DataError: another process writes it.
+            DataError: another process is writing it.
         """
         manifest = self.manifest(agent)
         with RunWriter(self.folder(manifest), manifest, self.retry) as writer:
             yield Session(self, agent, writer)
 
     def run(self, agent: A4Agent) -> Run:
-        """Ask for every missing sample and return the run. Raises what a session raises."""
+        """Ask for every missing sample and return the run. Raises like `Session`."""
         with self.open(agent) as session:
             for _ in session:
                 pass
@@ -163,8 +162,8 @@ class Session:
     """One start on a run folder. Iterate for a record per sample; `progress.unscored` names samples without one.
 
     Raises, while iterating:
-        BudgetExceeded, UserError, ProviderError: see `engine.run`; what was answered is kept.
-        KeyboardInterrupt: Ctrl-C; what was in flight has been kept.
+        BudgetExceeded, UserError, ProviderError: see `engine.run`; answers so far are kept.
+        KeyboardInterrupt: Ctrl-C; answers in flight are kept too.
     """
 
     def __init__(self, work: Bench, agent: A4Agent, writer: RunWriter) -> None:
@@ -191,7 +190,7 @@ class Session:
             yield record
 
     def _answers(self) -> Iterator[tuple[_Asked, Affordance]]:
-        """The samples that are wanted with their answers, as they are ready."""
+        """The missing samples with their answers, as they finish."""
         benchmark, oracle = self._work.benchmark, self._work.oracle
         in_flight: dict[str, _Asked] = {}
         seen: set[str] = set()
@@ -200,7 +199,7 @@ class Session:
             for index in self._indices:
                 try:
                     sample = benchmark[index]
-                except UserError as error:  # a row that is refused, such as a picture outside of the dataset
+                except UserError as error:  # a refused row, such as one with a picture outside the dataset
                     self.progress.unscored[f"sample {index}"] = str(error)
                     continue
                 if sample.id in seen:
@@ -208,7 +207,7 @@ class Session:
                 seen.add(sample.id)
                 if not self._writer.wants(sample.id):
                     continue
-                try:  # before the question: nothing is paid for what cannot be scored
+                try:  # before asking, so that nothing is paid for a sample that cannot be scored
                     in_flight[sample.id] = _Asked(sample, tuple(encode_rle(mask) for mask in sample.truth.masks()))
                 except UserError as error:
                     self.progress.unscored[sample.id] = str(error)
@@ -220,7 +219,7 @@ class Session:
             try:
                 return given_of(asked.sample, oracle, asked.truths()[0]) if oracle else None
             except InputError:
-                return None  # the agent will fail on the same picture, and that is this sample's answer
+                return None  # the agent fails on the same picture, and that is this sample's answer
 
         settings, stats = self._work.settings, self.progress.stats
         known = given if oracle else None
@@ -234,7 +233,7 @@ class Session:
 
 @dataclass(frozen=True)
 class _Asked:
-    """A sample in flight. Its true masks were read once and wait, run-length encoded, for the answer."""
+    """A sample in flight. Its true masks are read once and kept run-length encoded until the answer comes."""
 
     sample: Sample
     encoded: tuple[Rle, ...]
@@ -246,7 +245,7 @@ class _Asked:
 def row_of(
     benchmark: Benchmark, sample: Sample, affordance: Affordance, truths: tuple[np.ndarray, ...], writer: RunWriter
 ) -> dict[str, Any]:
-    """The line of samples.jsonl: the answer, what it scored, and the names of its pictures, which are written.
+    """The line of samples.jsonl: the answer, its score, and the names of its pictures, which are written too.
 
     `truths` are masks (H, W) of bool that are equally right.
     """
@@ -260,7 +259,7 @@ def row_of(
     pictures = {"original": affordance.image, "imagination": imagined, "frames": frames}
     answer = replace(affordance, id=sample.id).to_dict()
     for region in answer["regions"]:
-        region["score"] = _finite(region["score"])
+        region["score"] = finite_or_none(region["score"])
     return {
         **answer,
         "intersection": row.intersection,
@@ -269,13 +268,9 @@ def row_of(
         "truth_pixels": row.truth_pixels,
         "prediction_pixels": row.prediction_pixels,
         "resized": row.resized,
-        "measures": {name: _finite(value) for name, value in measures.items()},
+        "measures": {name: finite_or_none(value) for name, value in measures.items()},
         "truth": encode_rle(truths[best]),
         "category": sample.truth.category,
         "tags": dict(sample.truth.tags),
         "pictures": {kind: writer.add_picture(image) for kind, image in pictures.items() if image is not None},
     }
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and isfinite(value) else None

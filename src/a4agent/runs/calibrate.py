@@ -3,8 +3,8 @@
 calibration = fit([read_run("runs/folder-offline-1f0c3a9e")], kind="logistic")
 calibration.card["auroc"]                                            # cross-validated, no image on both sides
 
-The features are the checks' values that the records hold; an answer is right if its IoU is at least 0.5. What the file
-holds and how it is used: `stages.calibration`.
+The features are the values of the records' checks; an answer is right if its IoU is at least 0.5. For the file and its
+use see `stages.calibration`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ LEAST = 20
 
 @dataclass(frozen=True)
 class _Fitted:
-    """`values` (n, features) with NaN for what was not measured, `right` (n,) bool, `images` (n,) ids of pictures."""
+    """`values` (n, features), NaN where one was not measured; `right` (n,) bool; `images` (n,) ids of pictures."""
 
     features: tuple[str, ...]
     values: np.ndarray
@@ -39,10 +39,10 @@ class _Fitted:
 def fit(runs: Sequence[Run], kind: Kind = "logistic", *, seed: int = 0) -> Calibration:
     """The calibration of the answers in `runs`, with cross-validated AUROC, ECE and Brier score in its card.
 
-    No image is on both sides of a fold. Isotonic regression bends the logistic score and wants some hundred answers.
+    No image is on both sides of a fold. Isotonic regression bends the logistic score and needs a few hundred answers.
 
     Raises:
-        DataError: the runs have too few answers with checks, or all of them are right, or wrong; or one has an oracle.
+        DataError: there are too few answers with checks, all of them are right or all wrong, or a run has an oracle.
         MissingExtraError: scikit-learn is not installed.
     """
     data = _gathered(runs)
@@ -73,7 +73,7 @@ def _gathered(runs: Sequence[Run]) -> _Fitted:
     records: list[tuple[Run, Record]] = []
     for run in runs:
         if run.manifest.identity.get("oracle"):
-            raise DataError(f"{str(run.folder)!r} was made with an oracle, and its answers have seen the truth")
+            raise DataError(f"{str(run.folder)!r} was made with an oracle: its answers have seen the truth; remove it")
         records += [(run, record) for record in run.records.values() if record.row.get("checks")]
     measured: list[dict[str, float]] = [
         {check["name"]: check["value"] for check in record.row["checks"] if check["value"] is not None}
@@ -112,7 +112,7 @@ def _folds(data: _Fitted, seed: int) -> np.ndarray:
 
 
 def _fit(data: _Fitted, chosen: np.ndarray, kind: Kind) -> Calibration:
-    """A calibration of the `chosen` (n,) answers. What was not measured counts as the median of what was."""
+    """A calibration of the `chosen` (n,) answers. A missing value is filled with the median of its feature."""
     from sklearn.isotonic import IsotonicRegression
     from sklearn.linear_model import LogisticRegression
 
@@ -121,7 +121,7 @@ def _fit(data: _Fitted, chosen: np.ndarray, kind: Kind) -> Calibration:
     fill = np.array([np.median(column) if len(column) else 0.5 for column in known])
     values = np.where(np.isnan(values), fill, values)
     if right.all() or not right.any():  # a small fold
-        raise DataError("a calibration needs more answers of both kinds: a fold has right or wrong ones alone")
+        raise DataError("a calibration needs more answers of both kinds: in one fold all are right, or all wrong")
     model: Any = LogisticRegression(C=10.0, max_iter=1000).fit(values, right)
     found = Calibration(
         kind="logistic",

@@ -16,8 +16,9 @@ from a4agent.errors import DataError
 from a4agent.metrics import Comparison, Difference
 from a4agent.runs import scores, trust
 from a4agent.runs.manifest import differences
-from a4agent.runs.oracle import ORACLES
+from a4agent.runs.oracle import ORACLES, Oracle
 from a4agent.runs.store import Run
+from a4agent.types import finite_or_none
 
 
 @dataclass(frozen=True)
@@ -34,9 +35,9 @@ class ComparedLine:
 
 @dataclass(frozen=True)
 class RunPair:
-    """Two runs: `changed` lists what their configurations differ in.
+    """Two runs: `changed` lists how their configurations differ.
 
-    `measures` are contact hits and what the benchmark adds, `trust` the confidences' figures where both runs have some.
+    `measures` are contact hits and what the benchmark adds; `trust` rates the confidences, where both runs have them.
     """
 
     first: Run
@@ -58,7 +59,7 @@ class RunPair:
 
 @dataclass(frozen=True)
 class Loss:
-    """One stage's share: `giou` with this stage and all before it by the truth; `cost` is what it gained."""
+    """What a stage costs: `giou` is the score with the truth for it and all before it, `cost` what that gains."""
 
     stage: str
     giou: float
@@ -94,11 +95,11 @@ def compare(first: Run, second: Run, protocol: str | None = None) -> RunPair:
 
 
 def _same_truths(first: Run, second: Run, result: Comparison) -> None:
-    """A mask that was replaced by another one of the same area is a different truth as well."""
+    """Raise DataError if a true mask differs, also where its area is the same."""
     for id, record in first.records.items():
         other = second.records.get(id)
         if other is None or None in (record.scored.truth_pixels, other.scored.truth_pixels):
-            continue  # of several right masks, each keeps the one that its answer is closest to
+            continue  # where several masks are right, a record keeps the one closest to its answer
         if record.truth != other.truth:
             raise DataError(
                 f"{str(first.folder)!r} and {str(second.folder)!r}: the true mask of {id!r} is not the same in both,"
@@ -109,7 +110,7 @@ def _same_truths(first: Run, second: Run, result: Comparison) -> None:
 def losses(runs: Sequence[Run], protocol: str | None = None) -> list[list[Loss]]:
     """A table of losses for each configuration that has runs with oracles, in the order of the stages.
 
-    The first line of a table is the run as it is. Each cost is paired with the line before.
+    The first line is the run without an oracle. Each cost is paired with the line before.
     """
     groups: list[list[Run]] = []
     for run in runs:
@@ -122,7 +123,7 @@ def losses(runs: Sequence[Run], protocol: str | None = None) -> list[list[Loss]]
             group.append(run)
     tables: list[list[Loss]] = []
     for group in groups:
-        group.sort(key=_depth)
+        group.sort(key=lambda run: (None, *ORACLES).index(_oracle(run)))
         if len(group) < 2:
             continue
         lines = [Loss(_stage(group[0]), scores.score(group[0], protocol).giou, None)]
@@ -146,14 +147,9 @@ def to_dict(pairs: Sequence[RunPair], tables: Sequence[Sequence[Loss]]) -> dict[
                 "only_first": pair.result.n_only_first,
                 "only_second": pair.result.n_only_second,
                 "scores": [pair.result.first.to_dict(), pair.result.second.to_dict()],
-                "differences": {name: _difference(found) for name, found in pair.result.differences.items()},
-                **{
-                    kind: {
-                        line.name: {"values": [_known(line.first), _known(line.second)], **_difference(line.change)}
-                        for line in lines
-                    }
-                    for kind, lines in (("measures", pair.measures), ("trust", pair.trust))
-                },
+                "differences": {name: change.to_dict() for name, change in pair.result.differences.items()},
+                "measures": _lines_to_dict(pair.measures),
+                "trust": _lines_to_dict(pair.trust),
                 "statuses": [scores.statuses(run) for run in (pair.first, pair.second)],
                 "gained": list(pair.result.gained),
                 "lost": list(pair.result.lost),
@@ -162,7 +158,7 @@ def to_dict(pairs: Sequence[RunPair], tables: Sequence[Sequence[Loss]]) -> dict[
         ],
         "losses": [
             [
-                {"stage": line.stage, "giou": _known(line.giou), "cost": line.cost and _difference(line.cost)}
+                {"stage": line.stage, "giou": finite_or_none(line.giou), "cost": line.cost and line.cost.to_dict()}
                 for line in table
             ]
             for table in tables
@@ -176,22 +172,16 @@ def _configuration(run: Run, with_oracle: bool = True) -> dict[str, Any]:
     return {key: identity.get(key) for key in keys if key != "oracle" or with_oracle}
 
 
-def _oracle(run: Run) -> str | None:
+def _oracle(run: Run) -> Oracle | None:
     return run.manifest.identity.get("oracle")
-
-
-def _depth(run: Run) -> int:
-    oracle = _oracle(run)
-    return -1 if oracle is None else ORACLES.index(oracle)  # pyright: ignore[reportArgumentType]
 
 
 def _stage(run: Run) -> str:
     return _oracle(run) or "the run as it is"
 
 
-def _difference(found: Difference) -> dict[str, float | None]:
-    return {"value": _known(found.value), "low": _known(found.low), "high": _known(found.high)}
-
-
-def _known(value: float) -> float | None:
-    return None if value != value else value
+def _lines_to_dict(lines: Sequence[ComparedLine]) -> dict[str, Any]:
+    return {
+        line.name: {"values": [finite_or_none(line.first), finite_or_none(line.second)], **line.change.to_dict()}
+        for line in lines
+    }

@@ -3,7 +3,7 @@
 outcomes = list(score_predictions(load("umd", "data/umd"), Predictions("their/masks")))
 metrics.score([outcome.row for outcome in outcomes], "strict")
 
-`write_run` keeps them as a run folder, so that report, compare and tables show that system beside ours.
+`write_run` keeps them as a run folder, so that report, compare and tables can show that system too.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from a4agent.types import Affordance, Region
 
 MISSING = "no prediction"
 LARGEST_FACTOR = 4.0
-"""How many times larger or smaller than the truth, on either side, a mask may be without being asked about."""
+"""How many times a mask's sides may differ from the truth's before `resize` is required."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class ScoredSample:
 def score_predictions(
     benchmark: Benchmark, predictions: Predictions, workers: int | None = None, *, resize: bool = False
 ) -> Iterator[ScoredSample]:
-    """The outcome of every sample, in order; a prediction that is missing or unreadable is a failed sample.
+    """The outcome of every sample, in order; a missing or unreadable prediction is a failed sample.
 
-    Only as many masks as there are `workers` (None: one a core) are in memory at a time.
+    At most `workers` masks (None: one per core) are in memory at a time.
 
     Raises:
         DataError: the truth of a sample cannot be read (`a4 data check` lists all such), or, without `resize`, a
@@ -72,7 +72,7 @@ def write_run(
     resize: bool = False,
     progress: Callable[[], None] = lambda: None,
 ) -> Run:
-    """Keep what the system `name` predicted as a run in `folder`, with pictures; goes on where it was stopped.
+    """Keep the predictions of the system `name` as a run in `folder`, with pictures; continues a run that was stopped.
 
     `leaks` are the answers to `manifest.LEAKS`; `progress` is called after every sample.
 
@@ -119,10 +119,10 @@ def outcomes_of(run: Run) -> Iterable[ScoredSample]:
 
 
 def _answer(sample: Sample, mask: np.ndarray | None, problem: str) -> Affordance:
-    """What was predicted as an answer of ours: one region without box or points, in the prediction's own size."""
+    """The prediction as an affordance: one region without box or points, in the prediction's own size."""
     try:
         image = load_image(sample.query.image)
-    except InputError:  # the other system has read it, or else has failed
+    except InputError:  # the other system may have read it all the same
         image = None
     instruction = sample.query.instruction
     if mask is None:

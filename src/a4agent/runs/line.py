@@ -1,20 +1,12 @@
-"""What a line of samples.jsonl must hold. Run folders travel between people, so a line may be anything."""
+"""The fields that a line of samples.jsonl must have. Run folders travel, so each line is checked."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    FiniteFloat,
-    NonNegativeInt,
-    TypeAdapter,
-    ValidationError,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, ValidationError, model_validator
 
+from a4agent.errors import first_problem
 from a4agent.types import SCHEMA, Status
 
 Size = Annotated[list[NonNegativeInt], Field(min_length=2, max_length=2)]
@@ -90,19 +82,15 @@ class _Line(_Part):
         return self
 
 
-_LINE = TypeAdapter(_Line)
-
-
 def problem_of(row: Any) -> str:
-    """Why a JSON value is not a line that this version wrote, "" if it is one."""
+    """Why a JSON value is not a line as this version writes it; "" if it is one."""
     if not isinstance(row, dict):
         return "it is not a JSON object"
     schema: Any = row.get("schema")  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
     if schema != SCHEMA:
         return f"it has schema {schema!r}, and this version reads {SCHEMA}"
     try:
-        _LINE.validate_python(row)
+        _Line.model_validate(row)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        return f"{'.'.join(map(str, first['loc'])) or 'the line'}: {first['msg']}"
+        return first_problem(error, "the line")
     return ""

@@ -32,24 +32,23 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from a4agent import prompts
 from a4agent.config import STAGES, Settings
-from a4agent.errors import DataError
+from a4agent.errors import DataError, first_problem
 from a4agent.redaction import redact
 from a4agent.stages.calibration import load_calibration
 
 SCHEMA = 1
 LIBRARIES = ("numpy", "pillow", "scipy", "torch", "transformers", "diffusers", "openai", "onnxruntime", "ray")
 
-
 LEAKS = {
     "trained": "trained on this data",
     "truth": "truth of the test set seen",
     "shared": "test images in a memory or template bank",
 }
-"""What makes a score say less than it seems to; the answers are "yes", "no" and "unknown"."""
+"""What can inflate a score, as questions that are answered "yes", "no" or "unknown"."""
 
 
 @dataclass(frozen=True)
@@ -67,29 +66,28 @@ class Manifest:
     @property
     def hash(self) -> str:
         """Eight hexadecimal digits that name the configuration."""
-        return hashlib.sha256(_canonical(self.identity).encode()).hexdigest()[:8]
+        return _short_hash(self.identity)
 
     @property
     def system(self) -> str:
         """Names the system: its runs on several benchmarks share this value."""
-        asked = ("settings", "experts", "prompts", "oracle")
-        return hashlib.sha256(_canonical({key: self.identity.get(key) for key in asked}).encode()).hexdigest()[:8]
+        return _short_hash({key: self.identity.get(key) for key in ("settings", "experts", "prompts", "oracle")})
 
     @property
     def label(self) -> str:
-        """What people call this configuration."""
+        """This configuration's name for people."""
         name = str(self.about.get("label") or self.about.get("profile") or self.hash)
         oracle = self.identity.get("oracle")
         return f"{name}, {oracle} by the truth" if oracle else name
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """All labels of this configuration; it may be a row of several tables."""
+        """All labels of this configuration, which may be a row of several tables."""
         return tuple(self.about.get("labels") or filter(None, [self.about.get("label")]))
 
     @property
     def leaks(self) -> dict[str, str]:
-        """The answers to `LEAKS`. Our stages see queries only and keep no memory; the rest must be declared."""
+        """The answers to `LEAKS`. Our own stages see queries only and keep no memory; the rest must be declared."""
         ours = "predictions" not in self.identity
         known = {"truth": "no", "shared": "no"} if ours else {}
         oracle = {"truth": "yes"} if self.identity.get("oracle") else {}
@@ -120,12 +118,11 @@ class Manifest:
             data = json.loads(text)
             if isinstance(data, dict) and data.get("schema") != SCHEMA:  # pyright: ignore[reportUnknownMemberType]
                 raise DataError(f"{name!r} has schema {data.get('schema')!r}; this version reads {SCHEMA}")  # pyright: ignore
-            _FILE.validate_python(data)
+            _File.model_validate(data)
             return cls(data["identity"], data["about"], tuple(data["sessions"]))
         except ValidationError as error:
-            first = error.errors(include_url=False, include_input=False)[0]
-            place = ".".join(map(str, first["loc"])) or "the file"
-            raise DataError(f"{name!r} is not the manifest of a run: {place}: {first['msg']}") from error
+            problem = first_problem(error, "the file")
+            raise DataError(f"{name!r} is not the manifest of a run: {problem}") from error
         except (ValueError, RecursionError) as error:
             raise DataError(f"{name!r} is not the manifest of a run: {error}") from error
 
@@ -151,32 +148,29 @@ class _Session(BaseModel):
 
 
 class _File(BaseModel):
-    """The fields of manifest.json that reports and tables read. Run folders travel: it may be any file."""
+    """The fields of manifest.json that reports and tables need. The file may come from anywhere, so it is checked."""
 
     identity: _Identity
     about: dict[str, Any]
     sessions: list[_Session]
 
 
-_FILE = TypeAdapter(_File)
-
-
 def settings_identity(settings: Settings) -> dict[str, Any]:
-    """The settings of the stages that decide an answer.
+    """The settings that decide an answer, with experts by name only.
 
-    Experts appear by name only: their fingerprints hold the settings that change answers, so a smaller batch or a new
-    server address does not start a new run.
+    Experts' fingerprints hold the settings that change answers, so a smaller batch or a new server address does not
+    start a new run.
     """
     found = settings.model_dump(mode="json", include={*STAGES, "image"})
     for name in settings.expert_specs():
         stage, role = name.split(".")
         found[stage][role] = found[stage][role]["expert"]
-    if settings.verifier and settings.verifier.calibration:  # the file's content counts, not where it lies
+    if settings.verifier and settings.verifier.calibration:  # the file's content counts, not its path
         found["verifier"]["calibration"] = load_calibration(settings.verifier.calibration).sha256
     return found
 
 
-def settings_told(settings: Settings) -> dict[str, Any]:
+def settings_shown(settings: Settings) -> dict[str, Any]:
     """All settings, without secrets, for readers of the manifest."""
     return redact(settings.model_dump(mode="json", exclude={"profile", "name"}))
 
@@ -195,7 +189,7 @@ def prompt_hashes(settings: Settings) -> dict[str, str]:
 
 
 def differences(there: Any, here: Any, name: str = "") -> list[str]:
-    """What two JSON values differ in, as lines "settings.spotter.pairing: 'paper' there, 'optimal' here"."""
+    """How two JSON values differ, as lines "settings.spotter.pairing: 'paper' there, 'optimal' here"."""
     if isinstance(there, Mapping) and isinstance(here, Mapping):
         a, b = cast("Mapping[str, Any]", there), cast("Mapping[str, Any]", here)
         lines: list[str] = []
@@ -233,21 +227,22 @@ def versions() -> dict[str, str]:
 
 @cache
 def git_state(folder: Path) -> dict[str, Any] | None:
-    """Commit of the checkout that holds this code and whether it has changes; None outside of one."""
+    """The commit of the checkout that holds this code, and whether it has changes; None without a checkout."""
 
     def git(*arguments: str) -> str:
         command = ["git", "-C", str(folder), *arguments]
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
 
     try:
-        git("ls-files", "--error-unmatch", "__init__.py")  # a checkout around an installed package is another project
+        git("ls-files", "--error-unmatch", "__init__.py")  # an installed package may lie in another project's checkout
         return {"commit": git("rev-parse", "HEAD"), "dirty": bool(git("status", "--porcelain", "--", ".."))}
     except (OSError, subprocess.SubprocessError):
         return None
 
 
-def _canonical(value: Any) -> str:
-    return json.dumps(value, sort_keys=True, ensure_ascii=False, default=str)
+def _short_hash(value: Any) -> str:
+    text = json.dumps(value, sort_keys=True, ensure_ascii=False, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
 def _short(value: Any) -> str:

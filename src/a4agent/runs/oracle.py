@@ -1,10 +1,10 @@
-"""What does each stage cost? The truth replaces a stage, and the gain in score is that stage's cost.
+"""What each stage costs: the truth replaces it, and the gain in score is its cost.
 
     thinker     the phrase comes from the dataset ("the handle of the mug")
     detector    a box and a point for each connected part of the true mask
     segmenter   the true mask itself: the protocol's upper limit
 
-Each one includes those above it, so the costs add up to everything that is lost.
+Each one includes those above it, so the costs add up to the whole loss.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def given_of(sample: Sample, oracle: Oracle, truth: np.ndarray) -> Given:
     """What an oracle run tells the agent about a sample with the true mask `truth` (H, W) of bool.
 
     Raises:
-        DataError: the dataset names no part, so that there is nothing to put in the Thinker's place.
+        DataError: the dataset names no part, so nothing can replace the Thinker.
         InputError: the picture cannot be read.
     """
     if oracle == "thinker":

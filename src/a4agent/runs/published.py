@@ -23,7 +23,7 @@ GROUPS = {
     "truth": "with truth of the test set, as a memory or an oracle",
     "undeclared": "training not declared (a4 score --leak)",
 }
-"""What may be ranked together, and how it is headed."""
+"""The groups that systems are ranked in, and their headings."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Peer:
-    """A system that a table does not hold: where it is described, its group of `GROUPS`, and what to know of it."""
+    """A system without published numbers here: where it is described, its group of `GROUPS`, and a remark."""
 
     name: str
     source: str
@@ -89,7 +89,7 @@ def tables() -> dict[str, Table]:
 
 @cache
 def peers() -> tuple[Peer, ...]:
-    """Newer systems that are named without numbers."""
+    """Newer systems, listed without numbers."""
     return tuple(Peer(**peer) for peer in _file()["peers"])
 
 

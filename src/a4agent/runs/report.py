@@ -1,8 +1,8 @@
 """A run, or two compared, as one HTML file: opens without a network and stays responsive with thousands of samples.
 
-The page's frame (scores, published numbers, categories, stages) is rendered here; the samples travel as
-JSON and are drawn by page/page.js, those in sight only. Each picture is a text element of its own that
-the browser decodes when a card is in sight. Masks are scaled to their picture and stay run-length encoded.
+The page's frame (scores, published numbers, categories, stages) is rendered here. The samples are JSON that
+page/page.js draws as they scroll into view; pictures are separate text elements that the browser decodes then. Masks
+are scaled to their picture and stay run-length encoded.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ LONGEST_ANSWER = 4000
 
 
 def write_report(run: Run, path: Path | None = None) -> Path:
-    """Write the report, into the run folder as report.html unless told otherwise; returns its path.
+    """Write the report to `path` (None: report.html in the run folder); returns the path.
 
     Raises:
         DataError: the run has no samples yet.
@@ -135,7 +135,7 @@ def _filled(name: str, **values: Any) -> str:
 
 
 def _samples(run: Run, records: Collection[Record], side: int) -> tuple[list[dict[str, Any]], dict[str, str]]:
-    """What page.js knows of the records, and their pictures in base64 by the stem of their file."""
+    """The records for page.js, and their pictures in base64 by the stem of their file."""
     files_of = dict.fromkeys(name for record in records for name in record.pictures.values())
     embedded = ordered_map(lambda name: _embedded(run.folder, name, side), files_of)
     pictures = {name: data for name, data in zip(files_of, embedded, strict=True) if data}
@@ -149,7 +149,7 @@ def picture_side(samples: int) -> int:
 
 
 def _sample(record: Record, side: int, pictures: Mapping[str, str]) -> dict[str, Any]:
-    """One sample for page.js, which knows pictures by the stem of their file.
+    """One sample for page.js.
 
     Raises:
         DataError: one of its masks is damaged.
@@ -272,9 +272,9 @@ def _histogram(samples: Iterable[Mapping[str, Any]]) -> list[int]:
 
 
 def _stages(records: Iterable[Record]) -> list[dict[str, Any]]:
-    """What each expert was asked and what it took, in the order of the stages.
+    """The calls of each expert and what they took, in the order of the stages.
 
-    No sum of seconds: questions that went out in one call have each the seconds of all of it.
+    Seconds are not summed: each request of a batch has the seconds of the whole batch.
     """
     groups: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
     for record in records:

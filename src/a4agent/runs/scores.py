@@ -17,7 +17,7 @@ from a4agent.runs import trust
 from a4agent.runs.store import Record, Run, write_atomically
 
 OUTCOMES = ("hit", "too much", "too little", "partly", "elsewhere", "nothing found", "unreadable", "failed")
-"""How a sample ended, best first; see `outcome`."""
+"""How a sample can end, best first; see `outcome`."""
 
 
 def protocol_of(run: Run) -> str:
@@ -36,9 +36,9 @@ def score(run: Run, protocol: str | None = None) -> Scores:
 
 
 def by_group(run: Run, protocol: str | None = None) -> dict[str, dict[str, Scores]]:
-    """The scores by "category" and by each tag of the samples, worst gIoU first, those without one last.
+    """The scores by "category" and by each tag of the samples, worst gIoU first, NaN last.
 
-    Empty groups are omitted, and so are tags that equal the category.
+    Groups without a name and tags that equal the category are left out.
     """
     records = list(run.records.values())
     columns = {"category": [record.category for record in records]}
@@ -92,6 +92,10 @@ class Mean:
     high: float
     n: int
 
+    @classmethod
+    def of(cls, values: np.ndarray) -> Mean:
+        return cls(float(values.mean()), *_interval_of_mean(values), len(values))
+
 
 def measures(run: Run) -> dict[str, Mean]:
     """The means of the records' further measures by name: "contact" hits, and what the benchmark adds."""
@@ -99,7 +103,7 @@ def measures(run: Run) -> dict[str, Mean]:
     for name in dict.fromkeys(name for record in run.records.values() for name in record.measures):
         values = np.sort([v for r in run.records.values() if (v := r.measures.get(name)) is not None])
         if len(values):
-            found[name] = Mean(float(values.mean()), *_ends(values), len(values))
+            found[name] = Mean.of(values)
     return found
 
 
@@ -116,24 +120,23 @@ def measure_changes(first: Run, second: Run) -> dict[str, tuple[Mean, Mean, Diff
         ]
         if pairs:
             one, two = np.array(pairs).T
-            means = [Mean(float(values.mean()), *_ends(values), len(values)) for values in (one, two)]
-            found[name] = (*means, Difference(float((two - one).mean()), *_ends(two - one)))  # type: ignore[assignment]
+            change = Difference(float((two - one).mean()), *_interval_of_mean(two - one))
+            found[name] = Mean.of(one), Mean.of(two), change
     return found
 
 
 def measure_name(name: str) -> str:
-    """How people write a measure."""
+    """A measure's name for people."""
     return {"contact": "contact hits", "kld": "KLD", "sim": "SIM", "nss": "NSS"}.get(name, name)
 
 
-def _ends(values: np.ndarray) -> tuple[float, float]:
+def _interval_of_mean(values: np.ndarray) -> tuple[float, float]:
     draws = np.random.default_rng(0).integers(0, len(values), (metrics.RESAMPLES, len(values)))
-    low, high = np.percentile(values[draws].mean(axis=1), [2.5, 97.5]).tolist()
-    return low, high
+    return metrics.interval(values[draws].mean(axis=1))
 
 
 def errors(run: Run) -> Counter[str]:
-    """How often samples failed for which reason: the part of the message before its first colon."""
+    """How many samples failed for each reason, which is the message up to its first colon."""
     return Counter(record.row["error"].partition(":")[0] for record in run.records.values() if record.row["error"])
 
 

@@ -1,13 +1,13 @@
-"""A run is a folder. Its process may die at any instant, and the next one goes on where it stopped.
+"""A run is a folder. Its process may be killed at any moment; the next one continues where it stopped.
 
     runs/umd-paper-1f0c3a9e/
-      manifest.json      the configuration; one a folder, for ever (see manifest.py)
-      samples.jsonl      one line a scored sample, on disk before the next one is scored
+      manifest.json      the configuration; a folder never changes it (see manifest.py)
+      samples.jsonl      one line per scored sample, on disk before the next one is scored
       images/4be1….jpg   the pictures of the samples, named by the hash of their pixels, scaled down for display
       scores.json        the scores when the last session ended; computed from samples.jsonl, safe to delete
       lock               held while a process writes
 
-A line of samples.jsonl (wrapped here) is what `Affordance.to_dict` gives, and what it scored:
+A line of samples.jsonl (wrapped here) is `Affordance.to_dict()` with its score:
 
     {"schema": 2, "id": "mug_02", "instruction": "...", "size_wh": [640, 480], "status": "ok", "error": null,
      "confidence": 0.91, "checks": [...], "target": {...}, "imagination": null, "boxes_xyxy": [...], "points_xy": [...],
@@ -16,8 +16,8 @@ A line of samples.jsonl (wrapped here) is what `Affordance.to_dict` gives, and w
      "truth": {"size": ..., "counts": ...}, "resized": false, "measures": {"contact": 1.0}, "category": "grasp",
      "tags": {}, "pictures": {"original": "images/4be1….jpg"}}
 
-A sample that is asked for again gets a second line; the last line of an id counts. An unfinished last line is cut off
-when the folder is opened for writing, and ignored when it is only read.
+A sample that is asked for again gets a second line; the last line of an id counts. An unfinished last line is ignored
+by readers and cut off by the next writer.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Record:
 
     @property
     def scored(self) -> Row:
-        """What the metrics need of this sample."""
+        """The row for the metrics."""
         row = self.row
         return Row(
             row["intersection"],
@@ -80,7 +80,7 @@ class Record:
 
     @property
     def confidence(self) -> float | None:
-        """How likely the Verifier thought the mask right; None without one."""
+        """The Verifier's probability that the mask is right; None without a Verifier."""
         return self.row.get("confidence")
 
     @property
@@ -90,7 +90,7 @@ class Record:
 
     @property
     def iou(self) -> float:
-        """By the strict protocol: 1 if truth and prediction are both empty, and 0 for a failed sample."""
+        """By the strict protocol: 1 if truth and prediction are both empty, 0 for a failed sample."""
         scored = self.scored
         return scored.intersection / scored.union if scored.union else float(not scored.failed)
 
@@ -105,7 +105,7 @@ class Record:
 
     @property
     def truth(self) -> Mapping[str, Any]:
-        """The true mask as COCO RLE; the best match where several are right."""
+        """The true mask as COCO RLE; the one closest to the answer where several are right."""
         return self.row["truth"]
 
     @property
@@ -227,8 +227,8 @@ class RunWriter:
         """Create the folder or continue the one that exists.
 
         Raises:
-            ConfigError: the folder belongs to another configuration; the message says what differs.
-            DataError: it is another process's, or not a run folder.
+            ConfigError: the folder belongs to another configuration; the message lists the differences.
+            DataError: another process is writing it, or it is not a run folder.
         """
         try:
             self._open()
@@ -241,7 +241,7 @@ class RunWriter:
     def _open(self) -> None:
         path = self.folder / "manifest.json"
         if not path.exists() and self.folder.is_dir() and _foreign(self.folder):
-            raise DataError(f"{str(self.folder)!r} holds other files and not a run; choose another folder with --out")
+            raise DataError(f"{str(self.folder)!r} holds other files, not a run; choose another folder with --out")
         self.folder.mkdir(parents=True, exist_ok=True)
         with ExitStack() as held:
             held.enter_context(hold(self.folder / "lock"))
@@ -271,7 +271,7 @@ class RunWriter:
         return len(self.records) - len(self._pending_retry)
 
     def add(self, row: Mapping[str, Any]) -> Record:
-        """Append a line and wait until it is on the disk.
+        """Append a line; it is on the disk when this returns.
 
         Raises:
             DataError: it cannot be written.
@@ -329,7 +329,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 @contextmanager
 def hold(path: Path) -> Generator[None, None, None]:
-    """Hold the lock file `path`; it says who holds it.
+    """Hold the lock file `path`, which names its holder.
 
     Raises:
         DataError: another process (or another writer in this one) holds it.
@@ -382,7 +382,7 @@ def _repair(path: Path) -> None:
 
 
 def _foreign(folder: Path) -> bool:
-    """Whether the folder holds files that a run killed at its start would not leave."""
+    """Whether the folder holds files other than those of a run that was killed as it started."""
     return any(not (path.name == "lock" or is_draft(path)) for path in folder.iterdir())
 
 

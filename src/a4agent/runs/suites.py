@@ -18,14 +18,14 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from a4agent.config import read_toml
-from a4agent.errors import ConfigError, UnknownNameError
+from a4agent.errors import ConfigError, UnknownNameError, first_problem
 from a4agent.runs import published
 
 SUITES = Path(__file__).parent / "suites"
 
 
 class System(BaseModel):
-    """One row: a profile and the settings that it replaces."""
+    """One row: a profile, and the settings to replace."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -64,7 +64,7 @@ def load_suite(name: str) -> Suite:
 
     Raises:
         UnknownNameError: neither; the message suggests the nearest.
-        ConfigError: the file does not fit.
+        ConfigError: the file is not a suite.
     """
     path = Path(name) if name.endswith(".toml") else SUITES / f"{name}.toml"
     if not path.is_file():
@@ -72,6 +72,4 @@ def load_suite(name: str) -> Suite:
     try:
         return Suite.model_validate(read_toml(path))
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise ConfigError(f"suite {name!r}: {place}: {first['msg']}") from error
+        raise ConfigError(f"suite {name!r}: {first_problem(error, 'the file')}") from error

@@ -1,4 +1,4 @@
-"""The paper's tables with our rows beside the published ones, as Markdown, LaTeX or CSV.
+"""The paper's tables with our rows next to the published ones, as Markdown, LaTeX or CSV.
 
     | Model                     | gIoU  | cIoU  |
     |---------------------------|------:|------:|
@@ -66,7 +66,7 @@ class Filled:
 
 
 def fill(runs: Sequence[Run], key: str | None = None) -> list[Filled]:
-    """Every published table that the runs have columns of, or the one named; then the benchmarks without one.
+    """Every published table with a column for one of the runs, or the one named; then the benchmarks without a table.
 
     Raises:
         UnknownNameError: no such table.
@@ -153,9 +153,9 @@ def _peer_notes() -> list[str]:
 
 
 def _systems(runs: Iterable[Run], names: Container[str]) -> list[tuple[str, Source, dict[str, Run]]]:
-    """(label, source, run by benchmark) of each system; the second run of one benchmark starts a row of its own.
+    """(label, source, run by benchmark) of each system; a second run on one benchmark starts another row.
 
-    Of the labels that a system has had, its own if no other is one of a table's `names`.
+    The label is the first of the system's labels that is among a table's `names`, else its latest.
     """
     rows: list[tuple[str, str, Source, dict[str, Run]]] = []
     for run in runs:

@@ -2,9 +2,9 @@
 
     auroc(np.array([0.9, 0.8, 0.3]), np.array([True, False, False]))      # 1.0
 
-An answer is right if its IoU is at least 0.5. Tied confidences are never ordered: no figure depends on the order of
-the samples. AURC and the risk-coverage curve are those of Geifman and El-Yaniv (arXiv 1805.08206), the expected
-calibration error that of Guo et al. (arXiv 1706.04599) with ten bins of equal width.
+An answer is right if its IoU is at least 0.5. Ties are averaged, so no figure depends on the order of the samples. AURC
+and the risk-coverage curve are those of Geifman and El-Yaniv (arXiv 1805.08206), the expected calibration error that of
+Guo et al. (arXiv 1706.04599) with ten bins of equal width.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from a4agent.metrics import Difference
+from a4agent.metrics import Difference, interval
 from a4agent.runs.store import Record, Run
+from a4agent.types import finite_or_none
 
 MEASURES = {
     "auroc": "AUROC",
@@ -28,7 +29,7 @@ MEASURES = {
     "accepted_giou": "gIoU, accepted",
     "accepted_right": "P@50, accepted",
 }
-"""The figures of a `Trust`, and how people write them. Lower is better for AURC, ECE and Brier."""
+"""The figures of a `Trust` and their names for people. Lower is better for AURC, ECE and Brier."""
 
 BINS = 10
 RESAMPLES = 1000
@@ -70,17 +71,17 @@ class Trust:
             "rated": self.n_rated,
             "abstained": self.n_abstained,
             "accept": self.accept,
-            **{name: _json(value) for name, value in self.values.items()},
-            "intervals": {name: [_json(low), _json(high)] for name, (low, high) in self.intervals.items()},
+            **{name: finite_or_none(value) for name, value in self.values.items()},
+            "intervals": {name: list(map(finite_or_none, ends)) for name, ends in self.intervals.items()},
             "curve": [list(point) for point in self.curve],
-            "bins": [vars(one) | {"confidence": _json(one.confidence), "right": _json(one.right)} for one in self.bins],
+            "bins": [{name: finite_or_none(value) for name, value in vars(one).items()} for one in self.bins],
         }
 
 
 def with_accept(run: Run, accept: float) -> Run:
-    """The same run with its answers accepted or abstained at another threshold; nobody is asked.
+    """The same run with its answers accepted or abstained at another threshold, without asking any model.
 
-    The guesses stay those of the run: a threshold that was set before it may have led to other retries.
+    The answers stay as they are, although a run made with that threshold might have retried other samples.
     """
     records: dict[str, Record] = {}
     for id, record in run.records.items():
@@ -92,7 +93,7 @@ def with_accept(run: Run, accept: float) -> Run:
 
 
 def accept_of(run: Run) -> float | None:
-    """The threshold that the run was made with; None without a Verifier."""
+    """The threshold of the run's own settings; None without a Verifier."""
     settings: Mapping[str, Any] = run.manifest.identity.get("settings") or {}
     return (settings.get("verifier") or {}).get("accept")
 
@@ -155,7 +156,7 @@ def auroc(confidence: np.ndarray, right: np.ndarray) -> float:
 def risk_coverage(confidence: np.ndarray, wrong: np.ndarray) -> np.ndarray:
     """(n, 2): the share k / n of answers kept, most confident first, and the share of them that is `wrong` (n,) bool.
 
-    Answers of one confidence are kept in no order: each brings their mean risk.
+    Each of several answers with one confidence counts with their mean risk.
     """
     values, place, counts = np.unique(-confidence, return_inverse=True, return_counts=True)
     means = np.bincount(place, wrong.astype(np.float64), len(values)) / counts
@@ -213,19 +214,10 @@ def _figures(table: np.ndarray) -> list[float]:
 
 def _intervals(draws: np.ndarray) -> dict[str, tuple[float, float]]:
     """The middle 95 % of each figure over draws (k, figures)."""
-    ends: dict[str, tuple[float, float]] = {}
-    for name, values in zip(MEASURES, draws.T, strict=True):
-        known = values[~np.isnan(values)]
-        low, high = np.percentile(known, [2.5, 97.5]).tolist() if len(known) else (math.nan, math.nan)
-        ends[name] = (low, high)
-    return ends
+    return {name: interval(values) for name, values in zip(MEASURES, draws.T, strict=True)}
 
 
 def _thinned(curve: np.ndarray, most: int = 200) -> Sequence[tuple[float, float]]:
-    """At most so many points of a curve, its ends among them: it is there to be drawn."""
+    """At most so many points of a curve for drawing, including its ends."""
     places = np.unique(np.linspace(0, len(curve) - 1, min(most, len(curve))).round().astype(int))
     return [(round(float(x), 6), round(float(y), 6)) for x, y in curve[places]]
-
-
-def _json(value: float) -> float | None:
-    return None if math.isnan(value) else value
