@@ -278,15 +278,6 @@ def test_a_visitor_cannot_name_the_upload_of_another(url: str) -> None:
         caught.value.close()
 
 
-def test_no_recording_reaches_ffmpeg(url: str) -> None:
-    for path in ("/gradio_api/process_recording", "/process_recording", "/gradio_api/process_recording/"):
-        with pytest.raises(urllib.error.HTTPError) as caught:
-            urllib.request.urlopen(urllib.request.Request(url + path, b"a film"), timeout=30)
-        assert caught.value.code == 404
-        assert "takes no recordings" in caught.value.read().decode()
-        caught.value.close()
-
-
 def test_a_visitor_cannot_name_a_profile_file(url: str, tmp_path: Path) -> None:
     forged = tmp_path / "forged.toml"
     forged.write_text("")

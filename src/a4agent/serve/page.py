@@ -7,28 +7,25 @@ Built with gradio. The predictions of all visitors are one queue, one at a time;
 
 from __future__ import annotations
 
-import atexit
 import os
 import secrets
-import shutil
-import tempfile
 from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI
 from starlette.middleware import Middleware
-from starlette.types import ASGIApp, Scope
 
 from a4agent.agent import A4Agent
 from a4agent.config import Settings, profile_names
 from a4agent.errors import require
 from a4agent.requirements import Missing, check_settings
 from a4agent.serve import EXAMPLES_FOLDER, page_views
-from a4agent.serve.admission import CallerCheck, Refused
 from a4agent.serve.page_actions import MAX_UPLOAD_BYTES, Profiles, Visit
+from a4agent.serve.page_routes import NO_ADDRESSES, RouteCheck
+from a4agent.serve.uploads import upload_folder
 
 os.environ.setdefault("GRADIO_ANALYTICS_ENABLED", "False")
 
@@ -44,13 +41,6 @@ EXAMPLES = (
 )
 """A photograph (CC0), and pictures rendered by `a4 data make sim` from models under the MIT licence: see
 `examples/LICENSES.md`."""
-POLICY = (
-    "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; font-src 'self' data:;"
-    " script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; connect-src 'self' blob: data:; worker-src 'self' blob:"
-)
-"""With this header the browser refuses everything from other hosts."""
-
-NO_ADDRESSES = "This page fetches no addresses; upload the photo."
 PICK_A_PROFILE = """
 const mark = () => element.querySelectorAll('input[type=radio]').forEach(i => { i.checked = i.value === props.value; });
 element.addEventListener('change', event => {
@@ -94,7 +84,7 @@ def create_page(
     gr = require("gradio", extra="app")
     names = sorted({*profile_names(), profile}, key=lambda name: (name != profile, name))
     profiles = Profiles(settings, load, check, names)
-    os.environ.setdefault("GRADIO_TEMP_DIR", _upload_folder())
+    os.environ.setdefault("GRADIO_TEMP_DIR", upload_folder())
     processing: Any = require("gradio.processing_utils", extra="app")
     processing.hash_seed = secrets.token_bytes(32)  # gradio's own stays the same, also in every copy of an image
 
@@ -105,7 +95,7 @@ def create_page(
 
     blocks = _blocks(gr, profiles, profile)
     app = FastAPI(
-        lifespan=lifespan, docs_url=None, redoc_url=None, middleware=[Middleware(_PageCheck, password=auth is not None)]
+        lifespan=lifespan, docs_url=None, redoc_url=None, middleware=[Middleware(RouteCheck, password=auth is not None)]
     )
     theme = gr.themes.Base(
         primary_hue="rose", neutral_hue="slate", font=FONTS, font_mono=["ui-monospace", "monospace"], radius_size="lg"
@@ -209,14 +199,6 @@ def _path(payload: Any) -> str | None:
     return payload.path if payload else None
 
 
-@lru_cache(maxsize=1)
-def _upload_folder() -> str:
-    """A folder of this process alone for uploads; gradio's default is shared by all users of the machine."""
-    folder = tempfile.mkdtemp(prefix="a4-uploads-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return os.path.realpath(folder)
-
-
 def _no_addresses(gr: Any, move: Callable[[Any], Awaitable[Any]]) -> Callable[[Any], Awaitable[Any]]:
     """Refuse addresses, which gradio would fetch for a caller; other paths were uploaded or are examples."""
 
@@ -230,23 +212,3 @@ def _no_addresses(gr: Any, move: Callable[[Any], Awaitable[Any]]) -> Callable[[A
 
 def _examples() -> list[list[str]]:
     return [[str(EXAMPLES_FOLDER / name), instruction] for name, instruction in EXAMPLES]
-
-
-class _PageCheck(CallerCheck):
-    """Adds the content security policy and refuses routes of gradio's that this page does without.
-
-    Its file route fetches addresses for a caller, and its recordings start ffmpeg on what a caller sends. Without a
-    password, pages of other sites are refused too.
-    """
-
-    def __init__(self, app: ASGIApp, password: bool) -> None:
-        super().__init__(app, None, {"Content-Security-Policy": POLICY})
-        self.password = password
-
-    def check(self, scope: Scope) -> None:
-        if "://" in scope["path"]:
-            raise Refused(403, NO_ADDRESSES)
-        if scope["path"].rstrip("/").endswith("/process_recording"):
-            raise Refused(404, "this page takes no recordings")
-        if not self.password:  # else gradio asks for it
-            super().check(scope)
