@@ -41,7 +41,7 @@ def test_a_reader_that_fails_or_hangs_is_found(
         raise RuntimeError("broken")
 
     monkeypatch.setattr(fuzz, "SECONDS", 1)
-    fuzz.signal.signal(fuzz.signal.SIGALRM, fuzz._too_slow)
+    fuzz.watch()
     monkeypatch.setitem(fuzz.READERS, "rle", (hang, list))
     assert fuzz.try_one("rle", b"", tmp_path) == "takes more than 1 s"
     monkeypatch.setitem(fuzz.READERS, "rle", (fail, list))

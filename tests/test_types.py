@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -106,6 +107,14 @@ def test_masks_of_another_size_than_the_image_are_refused() -> None:
     data = Affordance("x", (5, 7), regions=(region,)).to_dict()
     with pytest.raises(DataError, match="7 x 6"):
         Affordance.from_dict({**data, "size_wh": [6, 7]})
+
+
+def test_a_saved_answer_that_is_damaged_is_our_error(tmp_path: Path) -> None:
+    path = tmp_path / "affordance.json"
+    for text in ("[" * 100_000, "{", '"\xff', "[]"):
+        path.write_text(text, encoding="latin-1")
+        with pytest.raises(DataError, match="is not a saved answer"):
+            Affordance.load(tmp_path)
 
 
 def test_people_read_the_reason_without_the_name_of_a_class() -> None:

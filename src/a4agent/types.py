@@ -324,7 +324,7 @@ class Affordance:
                 profile=data.get("profile"),
                 version=data.get("version"),
             )
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise DataError(f"not an affordance as this package writes it: {error!r}") from error
 
     @property
@@ -397,7 +397,7 @@ class Affordance:
             return cls.from_dict(json.loads(path.read_text(encoding="utf-8")))
         except OSError as error:
             raise InputError(f"cannot read {str(path)!r}: {error}") from error
-        except (ValueError, DataError) as error:
+        except (ValueError, RecursionError, DataError) as error:
             raise DataError(f"{str(path)!r} is not a saved answer: {error}") from error
 
 

@@ -342,6 +342,8 @@ def test_an_entry_of_another_version_is_no_answer() -> None:
     assert unpack(hashlib.sha256(body).hexdigest().encode() + b"\n" + body) is None
     body = body.replace(b"SongAnswer", b"ChatAnswer").replace(b'"attempts"', b'"efforts"')
     assert unpack(hashlib.sha256(body).hexdigest().encode() + b"\n" + body) is None
+    body = b"[" * 100_000
+    assert unpack(hashlib.sha256(body).hexdigest().encode() + b"\n" + body) is None
 
 
 def test_an_edited_picture_of_another_mode_is_kept_as_rgb() -> None:

@@ -147,6 +147,17 @@ def test_a_file_cut_anywhere_is_taken_up_again(tmp_path: Path, cut: int, junk: b
     assert lines == [json.loads(line) for line in whole.splitlines()]
 
 
+def test_a_last_line_that_is_no_row_goes(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        run.add(row("a"))
+    path = tmp_path / "run" / "samples.jsonl"
+    whole = path.read_bytes()
+    for last in (b"[" * 100_000, b"7", b"[]", b"{}"):
+        path.write_bytes(whole + last)
+        with RunWriter(tmp_path / "run", manifest()):
+            assert path.read_bytes() == whole
+
+
 def test_two_writers_do_not_share_a_folder(tmp_path: Path) -> None:
     with RunWriter(tmp_path / "run", manifest()) as run, pytest.raises(DataError, match=f"process {os.getpid()}"):
         RunWriter(tmp_path / "run", run.manifest).__enter__()

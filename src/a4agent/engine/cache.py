@@ -247,7 +247,7 @@ def unpack(data: bytes) -> Answer | None:
     line, _, picture = body.partition(b"\n")
     try:
         return _answer(json.loads(line), picture)
-    except (ValueError, KeyError, TypeError, OSError, InputError, DataError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, OSError, InputError, DataError):
         return None
 
 

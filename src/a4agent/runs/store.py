@@ -375,7 +375,7 @@ def _repair(path: Path) -> None:
         try:
             json.loads(raw[whole:])["id"]
             file.write(b"\n")
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             file.truncate(whole)
         file.flush()
         os.fsync(file.fileno())
