@@ -9,6 +9,7 @@ import pytest
 
 from a4agent.errors import ConfigError, ModelFilesError, UnknownNameError
 from a4agent.experts.local import image_edit as qwen_image_edit
+from a4agent.experts.local.base import Placement
 from a4agent.protocols import EditRequest
 
 torch = pytest.importorskip("torch")
@@ -69,7 +70,7 @@ def test_the_authors_settings_are_the_defaults(tiny_qwen_image_edit, noise, monk
         seen.update(options)
         return type("Output", (), {"images": [noise(32, 32)]})
 
-    editor._pipeline = pipeline
+    editor._model = pipeline
     edit(editor, noise(160, 90))
     assert seen["num_inference_steps"] == 30
     assert seen["true_cfg_scale"] == 4.0
@@ -84,11 +85,11 @@ def test_lightning_takes_its_schedule_and_no_negative_prompt(tiny_qwen_image_edi
     editor = qwen_image_edit.create(str(tiny_qwen_image_edit), "editor", **options)
     passes = []
     editor.load()
-    editor._pipeline.transformer.register_forward_hook(lambda *_: passes.append(1))
+    editor._model.transformer.register_forward_hook(lambda *_: passes.append(1))
     picture = edit(editor, noise(96, 64))
     assert len(passes) == 4  # instead of 2 * 30
     assert (picture != edit(plain, noise(96, 64))).any()
-    config = editor._pipeline.scheduler.config
+    config = editor._model.scheduler.config
     assert config.base_shift == config.max_shift == pytest.approx(np.log(3))
     assert config.shift_terminal is None
     assert config.use_dynamic_shifting
@@ -131,7 +132,7 @@ def lora_file(tiny_qwen_image_edit, tmp_path_factory):
 def text_encoder_calls(editor, noise):
     calls = []
     editor.load()
-    encoder = editor._pipeline.text_encoder
+    encoder = editor._model.text_encoder
     watch = encoder.model.register_forward_pre_hook(lambda _, args, kwargs: calls.append(kwargs), with_kwargs=True)
     edit(editor, noise(96, 96))
     watch.remove()
@@ -222,16 +223,10 @@ def test_a_lora_of_another_model_is_a_files_error(tiny_qwen_image_edit, tiny_sam
     ("offload", "advice"),
     [("none", "offload = 'model'"), ("model", "offload = 'sequential'"), ("sequential", "quanti")],
 )
-def test_what_needs_less_memory_than_now_is_advised(editor, offload, advice):
-    other = qwen_image_edit.DiffusersEditor(
-        "x",
-        editor.checkpoint,
-        editor.placement,
-        pipeline="QwenImageEditPlusPipeline",
-        settings={},
-        offload=offload,
-    )
-    assert other.shrinking[0].startswith(advice)
+def test_what_needs_less_memory_than_now_is_advised(tiny_qwen_image_edit, monkeypatch, offload, advice):
+    monkeypatch.setattr(qwen_image_edit, "place", lambda *_: Placement("cuda", "bfloat16"))
+    editor = qwen_image_edit.create(str(tiny_qwen_image_edit), "editor", offload=offload)
+    assert editor.shrinking[0].startswith(advice)
 
 
 def test_flux2_klein_edits_in_four_steps(tiny_flux2_klein, noise):

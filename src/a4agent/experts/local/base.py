@@ -251,9 +251,11 @@ def release_memory() -> None:
 class LocalExpert(ExpertBase):
     """An expert whose weights live in this process.
 
-    Its files are found when it is made (what is missing is known at once), its weights loaded at the first
-    request or `load()`. A subclass sets its models up in `_load` and drops them in `_unload`; `shrinking` are its
-    settings with which it needs less memory.
+    Its files are found when it is made, so that missing ones are reported at once; its weights are loaded at the first
+    request or by `load()`. A subclass loads `_model` in `_load`; `shrinking` are the settings with which it needs less
+    memory.
+
+    Its methods raise ResourceError if the weights do not fit and ProviderError if the model fails.
     """
 
     shrinking: tuple[str, ...] = ()
@@ -274,12 +276,13 @@ class LocalExpert(ExpertBase):
         self._lock = threading.RLock()
         self._loaded = self._closed = False
         self._fitting = max_batch
+        self._model: Any = None
 
     def _load(self) -> None:
         raise NotImplementedError
 
     def _unload(self) -> None:
-        raise NotImplementedError
+        self._model = None
 
     def load(self) -> None:
         """Load the weights now. Safe to call twice.

@@ -1,6 +1,6 @@
 """`falcon-perception:NAME_OR_FOLDER`: Falcon Perception, a phrase to masks in one model of 0.6 billion parameters.
 
-    create("tiiuae/Falcon-Perception", "detector", trust_remote_code=True)
+    FalconPerception("tiiuae/Falcon-Perception", "detector", trust_remote_code=True)
         .detect([DetectRequest(image=photo, phrase="handle")])      -> [Detection(boxes_xyxy=(n, 4), masks=(n, H, W))]
 
 transformers does not hold this architecture: its code lies in the model's repository, is fetched with the weights and
@@ -18,27 +18,16 @@ import numpy as np
 
 from a4agent.errors import A4Error, ConfigError, DataError, ProviderError, require
 from a4agent.experts.coordinates import UNIT, to_pixels
-from a4agent.experts.local.base import LocalExpert, Placement, Stopwatch, load_pretrained, place
-from a4agent.experts.local.checkpoints import Checkpoint, find_checkpoint
+from a4agent.experts.local.base import LocalExpert, Stopwatch, load_pretrained, place
+from a4agent.experts.local.checkpoints import find_checkpoint
 from a4agent.experts.local.open_vocabulary import to_corners
 from a4agent.imaging.masks import decode_rle
 from a4agent.protocols import DetectRequest, Role
 from a4agent.types import Detection
 
 
-def create(
-    model: str,
-    role: Role,
-    *,
-    trust_remote_code: bool = False,
-    revision: str | None = None,
-    device: str = "auto",
-    dtype: str = "float32",
-    max_dimension: int = 1024,
-    compile: bool = False,
-    max_batch: int = 4,
-) -> FalconPerception:
-    """A Falcon Perception detector, which segments too.
+class FalconPerception(LocalExpert):
+    """Finds all instances of a phrase, each with a box and, if the model segments, a mask.
 
     Args:
         model: a folder, or a name on the hub.
@@ -55,36 +44,39 @@ def create(
         ConfigError: `trust_remote_code` is not set, or a setting has a value it does not take.
         ModelFilesError: no such checkpoint, or the hub cannot be reached.
     """
-    if not trust_remote_code:
-        raise ConfigError(
-            f"'falcon-perception:{model}' runs the Python code in the model's repository, with your rights: read its "
-            "*.py files, pin them with the setting revision = COMMIT, then set trust_remote_code = true"
-        )
-    if max_dimension < 1:
-        raise ConfigError(f"max_dimension is a positive number of pixels, not {max_dimension!r}")
-    placement = place(device, dtype)
-    checkpoint = find_checkpoint(model, kinds=("falcon_perception",), revision=revision)
-    options = {"max_dimension": max_dimension, "compile": compile}
-    return FalconPerception(f"falcon-perception:{model}", checkpoint, placement, options, max_batch)
-
-
-class FalconPerception(LocalExpert):
-    """Finds all instances of a phrase, each with a box and, of models that segment, a mask."""
 
     def __init__(
-        self, id: str, checkpoint: Checkpoint, placement: Placement, options: Mapping[str, Any], max_batch: int = 4
+        self,
+        model: str,
+        role: Role,
+        *,
+        trust_remote_code: bool = False,
+        revision: str | None = None,
+        device: str = "auto",
+        dtype: str = "float32",
+        max_dimension: int = 1024,
+        compile: bool = False,
+        max_batch: int = 4,
     ) -> None:
+        id = f"falcon-perception:{model}"
+        if not trust_remote_code:
+            raise ConfigError(
+                f"{id!r} runs the Python code in the model's repository, with your rights: read its *.py files, pin"
+                " them with the setting revision = COMMIT, then set trust_remote_code = true"
+            )
+        if max_dimension < 1:
+            raise ConfigError(f"max_dimension must be a positive number of pixels, not {max_dimension!r}")
+        placement = place(device, dtype)
+        checkpoint = find_checkpoint(model, kinds=("falcon_perception",), revision=revision)
+        options = {"max_dimension": max_dimension, "compile": compile}
         super().__init__(id, checkpoint, placement, settings=options, max_batch=max_batch)
-        self._options = dict(options)
-        self._model: Any = None
+        self._options = options
 
     def detect(self, requests: Sequence[DetectRequest]) -> list[Detection | A4Error]:
         """Instances with boxes and masks, in the model's order, without scores and points.
 
         Raises:
-            ResourceError: the weights do not fit.
             ConfigError: the model's code needs a package that is not installed.
-            ProviderError: the model failed.
         """
         return self._in_batches(requests, self._answer)
 
@@ -97,9 +89,6 @@ class FalconPerception(LocalExpert):
         if hasattr(self._model, "_ensure_device_buffers"):
             self._model._weights_fused = False
             self._model._ensure_device_buffers()
-
-    def _unload(self) -> None:
-        self._model = None
 
     def _answer(self, requests: Sequence[DetectRequest]) -> list[Detection | A4Error]:
         watch = Stopwatch()
@@ -138,3 +127,6 @@ def read_instances(
             raise ValueError(f"a mask of {found.shape} for an image of {mask.shape}")
         mask[:] = found
     return boxes, masks
+
+
+create = FalconPerception

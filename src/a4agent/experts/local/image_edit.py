@@ -1,8 +1,9 @@
 """`diffusers:NAME_OR_FOLDER`: an image editor in this process. `qwen-image-edit:` is the same provider.
 
-    create("Qwen/Qwen-Image-Edit-2509", "editor").edit([EditRequest(image=photo, prompt="Show a hand gripping ...")])
-    create("Qwen/Qwen-Image-Edit-2509", "editor", lightning=4)     # 4 forward passes instead of 60
-    create("black-forest-labs/FLUX.2-klein-4B", "editor")          # 4 steps, about 16 GB in bfloat16
+    editor = DiffusersEditor("Qwen/Qwen-Image-Edit-2509", "editor")
+    editor.edit([EditRequest(image=photo, prompt="Show a hand gripping ...")])
+    DiffusersEditor("Qwen/Qwen-Image-Edit-2509", "editor", lightning=4)     # 4 forward passes instead of 60
+    DiffusersEditor("black-forest-labs/FLUX.2-klein-4B", "editor")          # 4 steps, about 16 GB in bfloat16
 
 The kind of pipeline is read from the folder's model_index.json; `PIPELINES` says what each takes. The defaults for
 Qwen-Image-Edit are the settings of the A4-Agent authors: 30 steps, true CFG 4.0, negative prompt " ", seed 0 (which
@@ -13,7 +14,6 @@ onto the accelerator; with offload they lie in main memory, where there has to b
 from __future__ import annotations
 
 import inspect
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ from a4agent.experts.local.base import (
     is_out_of_memory,
     place,
 )
-from a4agent.experts.local.checkpoints import Checkpoint, digest_of, find_checkpoint, find_file, parameter_count
+from a4agent.experts.local.checkpoints import digest_of, find_checkpoint, find_file, parameter_count
 from a4agent.experts.local.generation import load_processor
 from a4agent.files import read_package_toml
 from a4agent.imaging.load import load_image
@@ -47,6 +47,12 @@ class PipelineKind:
     negative_prompt: str | None = None
     processor: str | None = None
     lightning: bool = False
+
+    @property
+    def settings(self) -> set[str]:
+        """The settings that not every pipeline has."""
+        optional = {"negative_prompt": self.negative_prompt is not None, "lightning": self.lightning}
+        return {self.scale, *(name for name, known in optional.items() if known)}
 
 
 PIPELINES = {
@@ -73,24 +79,8 @@ LIGHTNING_SCHEDULER = {
 """The schedule that the LoRAs were distilled with (model card of lightx2v/Qwen-Image-Lightning)."""
 
 
-def create(
-    model: str,
-    role: Role,
-    *,
-    revision: str | None = None,
-    device: str = "auto",
-    dtype: str = "auto",
-    quantisation: str = "none",
-    offload: str = "none",
-    lightning: int = 0,
-    lora: str | None = None,
-    steps: int | None = None,
-    true_cfg_scale: float | None = None,
-    guidance_scale: float | None = None,
-    negative_prompt: str | None = None,
-    output_pixels: int = 1024 * 1024,
-) -> DiffusersEditor:
-    """An image editor of diffusers.
+class DiffusersEditor(LocalExpert):
+    """An image editor of diffusers. It edits one picture at a time: pipelines take no batches with prompts.
 
     Args:
         model: a folder, or a name on the hub.
@@ -112,86 +102,66 @@ def create(
         ModelFilesError: no such checkpoint or LoRA, or the hub cannot be reached.
         ConfigError: a setting has a value it does not take, or the pipeline has no such setting.
     """
-    placement = place(device, dtype, "auto", quantisation)
-    if placement.device == SPREAD:
-        raise ConfigError("qwen-image-edit cannot be spread over devices; use offload = 'model'")
-    if offload not in OFFLOADS:
-        raise UnknownNameError.of("offload", offload, OFFLOADS)
-    if offload != "none" and placement.device == "cpu":
-        raise ConfigError(f"offload = {offload!r} moves weights from an accelerator to the CPU, and there is none here")
-    if quantisation != "none" and placement.device == "cpu":
-        raise ConfigError(f"quantisation = {quantisation!r} of the editor needs a GPU, and there is none here")
-    if lightning not in (0, 4, 8):
-        raise ConfigError(f"lightning is 0 (off), 4 or 8 steps, not {lightning!r}")
-    if (steps is not None and steps < 1) or output_pixels < 32 * 32:
-        raise ConfigError(f"steps ({steps!r}) must be at least 1, and output_pixels ({output_pixels!r}) at least 1024")
-    checkpoint = find_checkpoint(model, kinds=tuple(PIPELINES), revision=revision)
-    pipeline = json.loads((checkpoint.folder / "model_index.json").read_text("utf-8"))["_class_name"]
-    kind = PIPELINES[pipeline]
-    scales = {"true_cfg_scale": true_cfg_scale, "guidance_scale": guidance_scale}
-    given: dict[str, Any] = {**scales, "negative_prompt": negative_prompt, "lightning": lightning or None}
-    known = {
-        kind.scale,
-        *(["negative_prompt"] if kind.negative_prompt else []),
-        *(["lightning"] if kind.lightning else []),
-    }
-    for name, value in given.items():
-        if value is not None and name not in known:
-            raise ConfigError(f"{model!r} is a {pipeline}, which takes no {name!r}; remove that setting of the editor")
-    if lightning and lora is None:
-        loras = read_package_toml("a4agent.experts", "models.toml")["lightning"]
-        if model not in loras:
-            raise ConfigError(f"no Lightning LoRA is known for {model!r}: name its file with the setting lora")
-        lora = str(loras[model]).format(steps=lightning)
-    lora_file = find_file(lora) if lora else None
-    scale = scales[kind.scale]
-    return DiffusersEditor(
-        f"qwen-image-edit:{model}" if kind.lightning else f"diffusers:{model}",
-        checkpoint,
-        placement,
-        pipeline=pipeline,
-        offload=offload,
-        lora=str(lora_file) if lora_file else None,
-        settings={
+
+    def __init__(
+        self,
+        model: str,
+        role: Role,
+        *,
+        revision: str | None = None,
+        device: str = "auto",
+        dtype: str = "auto",
+        quantisation: str = "none",
+        offload: str = "none",
+        lightning: int = 0,
+        lora: str | None = None,
+        steps: int | None = None,
+        true_cfg_scale: float | None = None,
+        guidance_scale: float | None = None,
+        negative_prompt: str | None = None,
+        output_pixels: int = 1024 * 1024,
+    ) -> None:
+        placement = place(device, dtype, "auto", quantisation)
+        _check_placement(placement, offload)
+        if lightning not in (0, 4, 8):
+            raise ConfigError(f"lightning is 0 (off), 4 or 8 steps, not {lightning!r}")
+        if (steps is not None and steps < 1) or output_pixels < 32 * 32:
+            raise ConfigError(
+                f"steps ({steps!r}) must be at least 1, and output_pixels ({output_pixels!r}) at least 1024"
+            )
+        checkpoint = find_checkpoint(model, kinds=tuple(PIPELINES), revision=revision)
+        kind = PIPELINES[checkpoint.kind]
+        scales = {"true_cfg_scale": true_cfg_scale, "guidance_scale": guidance_scale}
+        given = {**scales, "negative_prompt": negative_prompt, "lightning": lightning or None}
+        for name, value in given.items():
+            if value is not None and name not in kind.settings:
+                raise ConfigError(
+                    f"{model!r} is a {checkpoint.kind}, which takes no {name!r}; remove that setting of the editor"
+                )
+        if lightning and lora is None:
+            loras = read_package_toml("a4agent.experts", "models.toml")["lightning"]
+            if model not in loras:
+                raise ConfigError(f"no Lightning LoRA is known for {model!r}: name its file with the setting lora")
+            lora = str(loras[model]).format(steps=lightning)
+        self._lora = find_file(lora) if lora else None
+        scale = scales[kind.scale]
+        settings = {
             "lightning": lightning,
             "lora": lora,
-            "lora_digest": digest_of(lora_file) if lora_file else None,
+            "lora_digest": digest_of(self._lora) if self._lora else None,
             "steps": steps or lightning or kind.steps,
             kind.scale: (1.0 if lightning else kind.scale_value) if scale is None else scale,
             "negative_prompt": kind.negative_prompt if negative_prompt is None else negative_prompt,
             "output_pixels": output_pixels,
-        },
-    )
-
-
-class DiffusersEditor(LocalExpert):
-    """Edits one picture at a time: the pipelines take no batches of pictures with prompts."""
-
-    def __init__(
-        self,
-        id: str,
-        checkpoint: Checkpoint,
-        placement: Placement,
-        *,
-        pipeline: str,
-        settings: dict[str, Any],
-        offload: str = "none",
-        lora: str | None = None,
-    ) -> None:
-        super().__init__(id, checkpoint, placement, settings=settings, max_batch=1)
+        }
+        id = f"qwen-image-edit:{model}" if kind.lightning else f"diffusers:{model}"
+        super().__init__(id, checkpoint, placement, settings=settings)
         self.shrinking = (*OFFLOADS[offload], QUANTISE)
-        self._kind, self._class = PIPELINES[pipeline], pipeline
+        self._kind = kind
         self._offload = offload
-        self._lora = lora
-        self._pipeline: Any = None
 
     def edit(self, requests: Sequence[EditRequest]) -> list[EditAnswer | A4Error]:
-        """The edited pictures, in the proportions of the originals and an area of `output_pixels`.
-
-        Raises:
-            ResourceError: the weights do not fit.
-            ProviderError: the pipeline failed.
-        """
+        """The edited pictures, in the proportions of the originals and an area of `output_pixels`."""
         return self._in_batches(requests, self._edit)
 
     def _load(self) -> None:
@@ -206,11 +176,11 @@ class DiffusersEditor(LocalExpert):
         if self._is_direct:
             options["device_map"] = self.placement.device.partition(":")[0]  # each part as it is read
         try:
-            pipeline = getattr(diffusers, self._class).from_pretrained(str(folder), **options)
+            pipeline = getattr(diffusers, self.checkpoint.kind).from_pretrained(str(folder), **options)
             if self.settings["lightning"]:
                 pipeline.scheduler = diffusers.FlowMatchEulerDiscreteScheduler.from_config(LIGHTNING_SCHEDULER)
             if self._lora:
-                pipeline.load_lora_weights(self._lora)
+                pipeline.load_lora_weights(str(self._lora))
             supply_token_types(pipeline.text_encoder)
             pipeline.set_progress_bar_config(disable=True)
             if self._offload == "model":
@@ -223,10 +193,7 @@ class DiffusersEditor(LocalExpert):
             if is_out_of_memory(error):
                 raise ResourceError(f"{str(folder)!r} does not fit: {error}; set {self.shrinking[0]}") from error
             raise ModelFilesError(f"{str(folder)!r} cannot be loaded by diffusers: {str(error)[:300]}") from error
-        self._pipeline = pipeline
-
-    def _unload(self) -> None:
-        self._pipeline = None
+        self._model = pipeline
 
     @property
     def _is_direct(self) -> bool:
@@ -261,7 +228,7 @@ class DiffusersEditor(LocalExpert):
         guidance: dict[str, Any] = {self._kind.scale: scale}
         if self._kind.negative_prompt is not None and scale > 1:
             guidance["negative_prompt"] = self.settings["negative_prompt"]
-        picture = self._pipeline(
+        picture = self._model(
             image=[request.image],
             prompt=request.prompt,
             **guidance,
@@ -272,6 +239,19 @@ class DiffusersEditor(LocalExpert):
             callback_on_step_end=on_step_end,
         ).images[0]
         return EditAnswer(load_image(picture), usage=watch.usage(1))  # Qwen-Image 2.1 draws transparency, too
+
+
+def _check_placement(placement: Placement, offload: str) -> None:
+    if placement.device == SPREAD:
+        raise ConfigError("qwen-image-edit cannot be spread over devices; use offload = 'model'")
+    if offload not in OFFLOADS:
+        raise UnknownNameError.of("offload", offload, OFFLOADS)
+    if offload != "none" and placement.device == "cpu":
+        raise ConfigError(f"offload = {offload!r} moves weights from an accelerator to the CPU, and there is none here")
+    if placement.quantisation != "none" and placement.device == "cpu":
+        raise ConfigError(
+            f"quantisation = {placement.quantisation!r} of the editor needs a GPU, and there is none here"
+        )
 
 
 def output_size(size_wh: tuple[int, int], pixels: int) -> tuple[int, int]:
@@ -299,17 +279,14 @@ def supply_token_types(text_encoder: Any) -> None:
 
 
 def _quantisation(diffusers: Any, placement: Placement) -> Any:
-    bits: dict[str, Any] = (
-        {"load_in_8bit": True}
-        if placement.quantisation == "8bit"
-        else {
-            "load_in_4bit": True,
-            "bnb_4bit_quant_type": "nf4",
-            "bnb_4bit_compute_dtype": placement.torch_dtype,
-        }
-    )
+    bits: dict[str, Any] = {"load_in_8bit": True}
+    if placement.quantisation == "4bit":
+        bits = {"load_in_4bit": True, "bnb_4bit_quant_type": "nf4", "bnb_4bit_compute_dtype": placement.torch_dtype}
     return diffusers.quantizers.PipelineQuantizationConfig(
         quant_backend=f"bitsandbytes_{placement.quantisation}",
         quant_kwargs=bits,
         components_to_quantize=QUANTISED_PARTS,
     )
+
+
+create = DiffusersEditor

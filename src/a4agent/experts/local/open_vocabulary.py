@@ -1,21 +1,26 @@
-"""What detectors of the DETR kind share: a phrase and an image in, many scored boxes out, the good ones kept.
+"""`owlv2:`, `grounding-dino:` and `mm-grounding-dino:` with NAME_OR_FOLDER: scored boxes for a phrase.
 
-keep = best_boxes(boxes_xyxy, scores, threshold=0.3, nms_iou=0.5, max_boxes=20)     # indices, best first
+    Owlv2("google/owlv2-base-patch16", "detector").detect([DetectRequest(image=photo, phrase="the handle")])
+    GroundingDino("IDEA-Research/grounding-dino-tiny", "detector", threshold=0.4)
+    best_boxes(boxes_xyxy, scores, threshold=0.3, nms_iou=0.5, max_boxes=20)     # indices, best first
+
+Sources: Minderer et al., OWLv2 (arXiv 2306.09683); Liu et al., Grounding DINO (arXiv 2303.05499).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from a4agent.errors import A4Error, ConfigError, require
-from a4agent.experts.local.base import LocalExpert, Placement, Stopwatch, load_pretrained
-from a4agent.experts.local.checkpoints import Checkpoint
+from a4agent.experts.coordinates import UNIT, to_pixels
+from a4agent.experts.local.base import LocalExpert, Stopwatch, load_pretrained, place
+from a4agent.experts.local.checkpoints import find_checkpoint
 from a4agent.experts.local.generation import load_processor
-from a4agent.protocols import DetectRequest
+from a4agent.protocols import DetectRequest, Role
 from a4agent.types import Detection
 
 
@@ -44,25 +49,55 @@ class Candidates:
 
 
 class OpenVocabularyDetector(LocalExpert):
-    """A detector that scores boxes. A subclass prepares the inputs and reads the output."""
+    """A detector that scores boxes. A subclass prepares the inputs and reads the output.
 
-    model_class = ""
+    Args:
+        model: a folder, or a name on the hub.
+        role: "detector".
+        revision: branch, tag or commit.
+        device: "auto" or a torch device.
+        dtype: "float32", "bfloat16", "float16" or "auto"; the models are small, and their attention is sensitive.
+        threshold: the least score of a box; OWLv2 0.2, Grounding DINO 0.3 unless set.
+        nms_iou: of two boxes that overlap by more, the better one is kept; 1 keeps both. OWLv2 0.5 (neighbouring
+            patches see the same object), Grounding DINO 1 unless set.
+        max_boxes: the most boxes of an image.
+        max_batch: the most images at once; halved whenever memory runs out.
+
+    Raises:
+        ModelFilesError: no such checkpoint, or the hub cannot be reached.
+        ConfigError: a setting has a value it does not take.
+    """
+
+    provider: ClassVar[str]
+    """Also the checkpoints' `model_type`."""
+    model_class: ClassVar[str]
+    usual: ClassVar[tuple[float, float]] = (0.3, 1.0)
+    """The threshold and the `nms_iou` unless they are set."""
 
     def __init__(
-        self, id: str, checkpoint: Checkpoint, placement: Placement, selection: BoxSelection, max_batch: int = 4
+        self,
+        model: str,
+        role: Role,
+        *,
+        revision: str | None = None,
+        device: str = "auto",
+        dtype: str = "float32",
+        threshold: float | None = None,
+        nms_iou: float | None = None,
+        max_boxes: int = 20,
+        max_batch: int = 4,
     ) -> None:
-        super().__init__(id, checkpoint, placement, settings=vars(selection), max_batch=max_batch)
-        self._selection = selection
-        self._model: Any = None
+        self._selection = BoxSelection(
+            self.usual[0] if threshold is None else threshold, self.usual[1] if nms_iou is None else nms_iou, max_boxes
+        )
+        placement = place(device, dtype)
+        checkpoint = find_checkpoint(model, kinds=(self.provider,), revision=revision)
+        settings = vars(self._selection)
+        super().__init__(f"{self.provider}:{model}", checkpoint, placement, settings=settings, max_batch=max_batch)
         self._processor: Any = None
 
     def detect(self, requests: Sequence[DetectRequest]) -> list[Detection | A4Error]:
-        """Boxes with scores, best first; the points are derived from the boxes, one for each.
-
-        Raises:
-            ResourceError: the weights do not fit.
-            ProviderError: the model failed.
-        """
+        """Boxes with scores, best first; the points are derived from the boxes, one for each."""
         # Images of other sizes would be padded, and padding changes the boxes.
         return self._in_batches(requests, self._answer, alike=lambda request: request.image.size)
 
@@ -78,9 +113,6 @@ class OpenVocabularyDetector(LocalExpert):
         transformers: Any = require("transformers", extra="local")
         self._processor = load_processor(self.checkpoint.folder)
         self._model = load_pretrained(getattr(transformers, self.model_class), self.checkpoint, self.placement)
-
-    def _unload(self) -> None:
-        self._model = self._processor = None
 
     def _answer(self, requests: Sequence[DetectRequest]) -> list[Detection]:
         watch = Stopwatch()
@@ -100,6 +132,77 @@ class OpenVocabularyDetector(LocalExpert):
                 )
             )
         return detections
+
+
+class GroundingDino(OpenVocabularyDetector):
+    """A box's score is its best over the words of the phrase, and its point is its centre."""
+
+    provider = "grounding-dino"
+    model_class = "GroundingDinoForObjectDetection"
+
+    def inputs_of(self, requests: Sequence[DetectRequest]) -> Any:
+        return self._processor(
+            images=[request.image for request in requests],
+            text=[as_caption(request.phrase) for request in requests],
+            padding=True,
+            truncation=True,
+            max_length=self._model.config.max_text_len,
+            return_tensors="pt",
+        )
+
+    def candidates_of(self, output: Any, k: int, size_wh: tuple[int, int]) -> Candidates:
+        boxes, scores = _boxes_and_scores(output, k, size_wh)
+        return Candidates(boxes, scores, centres(boxes))
+
+
+class MMGroundingDino(GroundingDino):
+    """Grounding DINO as OpenMMLab trained it, with the same settings."""
+
+    provider = "mm-grounding-dino"
+    model_class = "MMGroundingDinoForObjectDetection"
+
+
+class Owlv2(OpenVocabularyDetector):
+    """Sees the image padded to a square at its right or bottom, and predicts one box from every patch of it.
+
+    The point of a box is the patch that predicted it, where that lies inside the box, else its centre.
+    """
+
+    provider = "owlv2"
+    model_class = "Owlv2ForObjectDetection"
+    usual = (0.2, 0.5)
+
+    def inputs_of(self, requests: Sequence[DetectRequest]) -> Any:
+        return self._processor(
+            images=[request.image for request in requests],
+            text=[[request.phrase] for request in requests],
+            truncation=True,
+            return_tensors="pt",
+        )
+
+    def candidates_of(self, output: Any, k: int, size_wh: tuple[int, int]) -> Candidates:
+        square = (max(size_wh), max(size_wh))
+        boxes, scores = _boxes_and_scores(output, k, square)
+        patches = to_pixels(_patch_centres(len(boxes)), UNIT, square)
+        inside = ((patches >= boxes[:, :2]) & (patches < boxes[:, 2:])).all(1, keepdims=True)
+        return Candidates(boxes, scores, np.where(inside, patches, centres(boxes)))
+
+
+def as_caption(phrase: str) -> str:
+    """Lower case with one full stop at the end, which separates phrases."""
+    return " ".join(phrase.replace(".", " ").lower().split()) + "."
+
+
+def _boxes_and_scores(output: Any, k: int, size_wh: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    scores = output.logits[k].float().sigmoid().amax(-1).cpu().numpy()
+    return to_pixels(to_corners(output.pred_boxes[k].float().cpu().numpy()), UNIT, size_wh), scores
+
+
+def _patch_centres(count: int) -> np.ndarray:
+    """(count, 2) middles of the patches of a square, row by row, in units of its side."""
+    side = round(count**0.5)
+    y, x = np.divmod(np.arange(count), side)
+    return (np.stack([x, y], axis=1) + 0.5) / side
 
 
 def to_corners(boxes_cxcywh: np.ndarray) -> np.ndarray:

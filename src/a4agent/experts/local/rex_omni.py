@@ -1,6 +1,7 @@
 """`rex-omni:NAME_OR_FOLDER`: Rex-Omni in this process, boxes and key points for a phrase.
 
-    create("IDEA-Research/Rex-Omni", "detector").detect([DetectRequest(image=photo, phrase="the handle of the mug")])
+    rex = RexOmni("IDEA-Research/Rex-Omni", "detector")
+    rex.detect([DetectRequest(image=photo, phrase="the handle of the mug")])
         -> [Detection(boxes_xyxy=(n, 4), points_xy=(m, 2), text=both raw answers)]
 
 Detection and pointing of an image are two questions in one batch. Boxes are read from token ids. The weights
@@ -10,10 +11,11 @@ are under the IDEA licence 1.0, which is non-commercial. Source: model card of I
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from a4agent.errors import A4Error, ConfigError
-from a4agent.experts.local.base import QUANTISE, LocalExpert, Placement, Stopwatch, place
-from a4agent.experts.local.checkpoints import Checkpoint, find_checkpoint
+from a4agent.experts.local.base import QUANTISE, LocalExpert, Stopwatch, place
+from a4agent.experts.local.checkpoints import find_checkpoint
 from a4agent.experts.local.generation import ChatModel, Generation, Turn
 from a4agent.experts.local.rex_tokenizer import load_repaired_processor
 from a4agent.experts.rex_omni_answer import (
@@ -29,25 +31,15 @@ from a4agent.experts.rex_omni_answer import (
     read_tokens,
 )
 from a4agent.protocols import DetectRequest, Role
-from a4agent.types import Detection
+from a4agent.types import Detection, Usage
 
 __all__ = ["RexOmni", "create", "read_answer"]
 
 
-def create(
-    model: str,
-    role: Role,
-    *,
-    revision: str | None = None,
-    device: str = "auto",
-    dtype: str = "auto",
-    attention: str = "auto",
-    quantisation: str = "none",
-    max_batch: int = 4,
-    max_new_tokens: int = MAX_NEW_TOKENS,
-    max_pixels: int = MAX_PIXELS,
-) -> RexOmni:
-    """Rex-Omni as a detector; the defaults are its authors' settings (greedy, repetition penalty 1.05).
+class RexOmni(LocalExpert):
+    """Asks for boxes and for points at once, and reads the ids of the answers.
+
+    The defaults are its authors' settings (greedy, repetition penalty 1.05).
 
     Args:
         model: a folder, or a name on the hub.
@@ -65,43 +57,40 @@ def create(
         ModelFilesError: no such checkpoint, or the hub cannot be reached.
         ConfigError: a setting has a value it does not take.
     """
-    if max_new_tokens < 1 or max_pixels < MIN_PIXELS:
-        raise ConfigError(
-            f"max_new_tokens must be at least 1 and max_pixels at least {MIN_PIXELS}, "
-            f"not {max_new_tokens!r} and {max_pixels!r}"
-        )
-    placement = place(device, dtype, attention, quantisation)
-    checkpoint = find_checkpoint(model, kinds=("qwen2_5_vl",), revision=revision)
-    return RexOmni(f"rex-omni:{model}", checkpoint, placement, max_batch, max_new_tokens, max_pixels)
-
-
-class RexOmni(LocalExpert):
-    """Asks for boxes and for points at once, and reads the ids of the answers."""
 
     shrinking = (QUANTISE,)
 
     def __init__(
         self,
-        id: str,
-        checkpoint: Checkpoint,
-        placement: Placement,
+        model: str,
+        role: Role,
+        *,
+        revision: str | None = None,
+        device: str = "auto",
+        dtype: str = "auto",
+        attention: str = "auto",
+        quantisation: str = "none",
         max_batch: int = 4,
         max_new_tokens: int = MAX_NEW_TOKENS,
         max_pixels: int = MAX_PIXELS,
     ) -> None:
+        if max_new_tokens < 1 or max_pixels < MIN_PIXELS:
+            raise ConfigError(
+                f"max_new_tokens must be at least 1 and max_pixels at least {MIN_PIXELS}, "
+                f"not {max_new_tokens!r} and {max_pixels!r}"
+            )
+        placement = place(device, dtype, attention, quantisation)
+        checkpoint = find_checkpoint(model, kinds=("qwen2_5_vl",), revision=revision)
         settings = {"max_new_tokens": max_new_tokens, "max_pixels": max_pixels}
-        super().__init__(id, checkpoint, placement, settings=settings, max_batch=max_batch)
+        super().__init__(f"rex-omni:{model}", checkpoint, placement, settings=settings, max_batch=max_batch)
         self._max_new_tokens = max_new_tokens
         self._max_pixels = max_pixels
-        self._model: ChatModel | None = None
 
     def detect(self, requests: Sequence[DetectRequest]) -> list[Detection | A4Error]:
         """Boxes and points, without scores. Of an answer cut off at the token limit, the complete ones are kept.
 
         Raises:
-            ResourceError: the weights do not fit.
             ModelFilesError: the tokenizer is not Rex-Omni's.
-            ProviderError: the model failed.
         """
         return self._in_batches(requests, self._answer)
 
@@ -110,39 +99,35 @@ class RexOmni(LocalExpert):
         processor.image_processor.size = {"shortest_edge": MIN_PIXELS, "longest_edge": self._max_pixels}
         self._model = ChatModel.load(self.checkpoint, self.placement, processor)
 
-    def _unload(self) -> None:
-        self._model = None
-
     def _answer(self, requests: Sequence[DetectRequest]) -> list[Detection | A4Error]:
-        assert self._model is not None
         watch = Stopwatch()
         turns = [
             Turn((request.image,), prompt(request.phrase), SYSTEM)
             for request in requests
             for prompt in (detection_prompt, pointing_prompt)
         ]
-        generations = self._model.generate(
-            turns, [self._max_new_tokens] * len(turns), {"repetition_penalty": REPETITION_PENALTY}
-        )
-        pairs = zip(generations[0::2], generations[1::2], strict=True)
-        return [self._read(request, pair, watch, len(requests)) for request, pair in zip(requests, pairs, strict=True)]
+        limits = [self._max_new_tokens] * len(turns)
+        found: list[Generation] = self._model.generate(turns, limits, {"repetition_penalty": REPETITION_PENALTY})
+        usage = watch.usage(len(requests))
+        pairs = zip(found[0::2], found[1::2], strict=True)
+        return [self._read(request, *pair, usage) for request, pair in zip(requests, pairs, strict=True)]
 
-    def _read(
-        self, request: DetectRequest, pair: tuple[Generation, Generation], watch: Stopwatch, shared_by: int
-    ) -> Detection:
-        assert self._model is not None
-        text = "\n".join(self._model.decode(generation.ids, skip_special_tokens=False) for generation in pair)
+    def _read(self, request: DetectRequest, detected: Generation, pointed: Generation, usage: Usage) -> Detection:
         decode = self._model.decode
-        boxes, _ = boxes_and_points(read_tokens(pair[0].ids, request.image.size, decode))
-        _, points = boxes_and_points(read_tokens(pair[1].ids, request.image.size, decode))
+        boxes, _ = boxes_and_points(read_tokens(detected.ids, request.image.size, decode))
+        _, points = boxes_and_points(read_tokens(pointed.ids, request.image.size, decode))
+        both = (detected, pointed)
         return Detection(
             boxes_xyxy=boxes,
             points_xy=points,
-            text=text,
-            cut_off=any(generation.finish_reason == "length" for generation in pair),
-            usage=watch.usage(
-                shared_by,
-                tokens_in=sum(generation.tokens_in for generation in pair),
-                tokens_out=sum(len(generation.ids) for generation in pair),
+            text="\n".join(decode(generation.ids, skip_special_tokens=False) for generation in both),
+            cut_off=any(generation.finish_reason == "length" for generation in both),
+            usage=replace(
+                usage,
+                tokens_in=detected.tokens_in + pointed.tokens_in,
+                tokens_out=len(detected.ids) + len(pointed.ids),
             ),
         )
+
+
+create = RexOmni

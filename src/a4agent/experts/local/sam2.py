@@ -1,6 +1,7 @@
 """`sam2:tiny|small|base-plus|large` (SAM 2.1), or any SAM 2 checkpoint by name or folder: boxes and points to masks.
 
-    create("large", "segmenter").segment([SegmentRequest(image=photo, prompts=(Prompt(box_xyxy=..., points_xy=...),))])
+    sam = SamSegmenter("large", "segmenter")
+    sam.segment([SegmentRequest(image=photo, prompts=(Prompt(box_xyxy=..., points_xy=...),))])
 
 An image goes through the encoder once and its embedding is kept; all prompts of an image that are of one kind
 (with or without a box, the same number of points) go through the mask decoder together. They are not padded to
@@ -13,14 +14,14 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from a4agent.errors import A4Error, ConfigError, UnknownNameError, require
 from a4agent.experts.hub import full_name
 from a4agent.experts.local.base import LocalExpert, Placement, Stopwatch, load_pretrained, place
-from a4agent.experts.local.checkpoints import Checkpoint, find_checkpoint
+from a4agent.experts.local.checkpoints import find_checkpoint
 from a4agent.imaging.load import image_hash
 from a4agent.protocols import Prompt, Role, Segmentation, SegmentRequest
 
@@ -28,23 +29,12 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
-Candidates = Literal["best", "all"]
 
 _PROMPTS_AT_ONCE = 32  # the decoder holds some 25 MB for each
 
 
-def create(
-    model: str,
-    role: Role,
-    *,
-    revision: str | None = None,
-    device: str = "auto",
-    dtype: str = "auto",
-    candidates: str = "best",
-    max_batch: int = 4,
-    cached_images: int = 8,
-) -> SamSegmenter:
-    """A SAM 2 segmenter.
+class SamSegmenter(LocalExpert):
+    """A SAM 2 segmenter: an image encoder, and a decoder for boxes and points.
 
     Args:
         model: "tiny", "small", "base-plus", "large", a folder, or a name on the hub.
@@ -62,36 +52,33 @@ def create(
         ModelFilesError: no such checkpoint, or the hub cannot be reached.
         ConfigError: a setting has a value it does not take.
     """
-    placement = place(device, dtype)
-    checkpoint = find_checkpoint(full_name("sam2", model), kinds=("sam2", "sam2_video"), revision=revision)
-    return SamSegmenter(
-        f"sam2:{model}", checkpoint, placement, candidates=candidates, max_batch=max_batch, cached_images=cached_images
-    )
 
-
-class SamSegmenter(LocalExpert):
-    """A model of SAM's shape: an image encoder, and a decoder for boxes and points."""
-
-    model_class = "Sam2Model"
-    mean_and_std = IMAGENET
+    provider: ClassVar[str] = "sam2"
+    kinds: ClassVar[tuple[str, ...]] = ("sam2", "sam2_video")
+    model_class: ClassVar[str] = "Sam2Model"
+    mean_and_std: ClassVar[tuple[tuple[float, ...], tuple[float, ...]]] = IMAGENET
 
     def __init__(
         self,
-        id: str,
-        checkpoint: Checkpoint,
-        placement: Placement,
+        model: str,
+        role: Role,
         *,
+        revision: str | None = None,
+        device: str = "auto",
+        dtype: str = "auto",
         candidates: str = "best",
         max_batch: int = 4,
         cached_images: int = 8,
     ) -> None:
+        id = f"{self.provider}:{model}"
         if candidates not in ("best", "all"):
             raise UnknownNameError.of("value of candidates", candidates, ("best", "all"))
         if cached_images < 0:
             raise ConfigError(f"cached_images of {id!r} must be at least 0, not {cached_images!r}")
+        placement = place(device, dtype)
+        checkpoint = find_checkpoint(full_name(self.provider, model), kinds=self.kinds, revision=revision)
         super().__init__(id, checkpoint, placement, settings={"candidates": candidates}, max_batch=max_batch)
         self._candidates = candidates
-        self._model: Any = None
         self._cached_images = cached_images
         self._embeddings: OrderedDict[str, list[Any]] = OrderedDict()
 
@@ -105,12 +92,7 @@ class SamSegmenter(LocalExpert):
                 self._in_batches(images[: self._cached_images], self._encode)
 
     def segment(self, requests: Sequence[SegmentRequest]) -> list[Segmentation | A4Error]:
-        """Masks at the size of each image, in the order of its prompts.
-
-        Raises:
-            ResourceError: the weights do not fit.
-            ProviderError: the model failed.
-        """
+        """Masks at the size of each image, in the order of its prompts."""
         return self._in_batches(requests, self._segment)
 
     def _load(self) -> None:
@@ -119,7 +101,7 @@ class SamSegmenter(LocalExpert):
         self._model = load_pretrained(getattr(transformers, self.model_class), self.checkpoint, whole)
 
     def _unload(self) -> None:
-        self._model = None
+        super()._unload()
         self._embeddings.clear()
 
     def _segment(self, requests: Sequence[SegmentRequest]) -> list[Segmentation]:
@@ -223,3 +205,6 @@ def autocast(placement: Placement) -> Any:
     torch: Any = require("torch", extra="local")
     kind = torch.device(placement.input_device).type
     return torch.autocast(kind, dtype=placement.torch_dtype, enabled=placement.dtype != "float32")
+
+
+create = SamSegmenter

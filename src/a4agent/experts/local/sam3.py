@@ -17,7 +17,7 @@ import numpy as np
 from a4agent.errors import A4Error, ConfigError, ModelFilesError, require
 from a4agent.experts.coordinates import UNIT, to_pixels
 from a4agent.experts.local.base import LocalExpert, Placement, Stopwatch, load_pretrained, place
-from a4agent.experts.local.checkpoints import Checkpoint, find_checkpoint
+from a4agent.experts.local.checkpoints import find_checkpoint
 from a4agent.experts.local.sam2 import SamSegmenter, autocast, resized_mask, to_square
 from a4agent.protocols import DetectRequest, Role
 from a4agent.types import Detection
@@ -38,45 +38,26 @@ def create(
     max_batch: int = 4,
     cached_images: int = 8,
 ) -> Sam3Detector | Sam3Segmenter:
-    """SAM 3.
+    """SAM 3 as "detector" or "segmenter".
 
-    Args:
-        model: a folder, or a name on the hub.
-        role: "detector" or "segmenter".
-        revision: branch, tag or commit.
-        device: "auto" or a torch device.
-        dtype: number format of the encoders: "auto" (bfloat16 on an accelerator, float32 on a CPU), "bfloat16",
-            "float16", "float32".
-        threshold: the least score of an instance (detector).
-        candidates: "best" or "all" masks of a prompt (segmenter).
-        max_batch: the most images at once; halved whenever memory runs out.
-        cached_images: how many images' embeddings are kept (segmenter).
+    `threshold` is the least score of an instance and concerns the detector alone; `candidates` and `cached_images` are
+    the segmenter's. The other settings are those of `sam2:`.
 
     Raises:
         ModelFilesError: no such checkpoint, or the hub cannot be reached.
         ConfigError: a setting has a value it does not take.
     """
-    if not 0 <= threshold < 1:
-        raise ConfigError(f"threshold must be in [0, 1), not {threshold!r}")
-    placement = place(device, dtype)
+    shared: dict[str, Any] = {"revision": revision, "device": device, "dtype": dtype, "max_batch": max_batch}
     if role == "segmenter":
-        kinds = ("sam3_video", "sam3_tracker", "sam3_tracker_video")
-        checkpoint = find_checkpoint(model, kinds=kinds, revision=revision)
-        return Sam3Segmenter(
-            f"sam3:{model}",
-            checkpoint,
-            placement,
-            candidates=candidates,
-            max_batch=max_batch,
-            cached_images=cached_images,
-        )
-    checkpoint = find_checkpoint(model, kinds=("sam3", "sam3_video"), revision=revision)
-    return Sam3Detector(f"sam3:{model}", checkpoint, placement, threshold, max_batch)
+        return Sam3Segmenter(model, role, candidates=candidates, cached_images=cached_images, **shared)
+    return Sam3Detector(model, role, threshold=threshold, **shared)
 
 
 class Sam3Segmenter(SamSegmenter):
     """SAM 3's tracker: an image encoder, and SAM 2's decoder for boxes and points."""
 
+    provider = "sam3"
+    kinds = ("sam3_video", "sam3_tracker", "sam3_tracker_video")
     model_class = "Sam3TrackerModel"
     mean_and_std = HALF
 
@@ -85,20 +66,26 @@ class Sam3Detector(LocalExpert):
     """Finds all instances of a phrase, each with a mask."""
 
     def __init__(
-        self, id: str, checkpoint: Checkpoint, placement: Placement, threshold: float = 0.3, max_batch: int = 4
+        self,
+        model: str,
+        role: Role,
+        *,
+        revision: str | None = None,
+        device: str = "auto",
+        dtype: str = "auto",
+        threshold: float = 0.3,
+        max_batch: int = 4,
     ) -> None:
-        super().__init__(id, checkpoint, placement, settings={"threshold": threshold}, max_batch=max_batch)
+        if not 0 <= threshold < 1:
+            raise ConfigError(f"threshold must be in [0, 1), not {threshold!r}")
+        placement = place(device, dtype)
+        checkpoint = find_checkpoint(model, kinds=("sam3", "sam3_video"), revision=revision)
+        super().__init__(f"sam3:{model}", checkpoint, placement, settings={"threshold": threshold}, max_batch=max_batch)
         self._threshold = threshold
-        self._model: Any = None
         self._tokenizer: Any = None
 
     def detect(self, requests: Sequence[DetectRequest]) -> list[Detection | A4Error]:
-        """Instances with boxes, scores and masks, best first, and no points.
-
-        Raises:
-            ResourceError: the weights do not fit.
-            ProviderError: the model failed.
-        """
+        """Instances with boxes, scores and masks, best first, and no points."""
         return self._in_batches(requests, self._answer)
 
     def _load(self) -> None:
@@ -110,9 +97,6 @@ class Sam3Detector(LocalExpert):
             raise ModelFilesError(f"the tokenizer in {folder!r} cannot be loaded: {error}") from error
         whole = Placement(self.placement.device, "float32")
         self._model = load_pretrained(transformers.Sam3Model, self.checkpoint, whole)
-
-    def _unload(self) -> None:
-        self._model = self._tokenizer = None
 
     def _answer(self, requests: Sequence[DetectRequest]) -> list[Detection]:
         torch: Any = require("torch", extra="local")

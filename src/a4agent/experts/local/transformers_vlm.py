@@ -3,7 +3,8 @@
 Whatever `AutoModelForImageTextToText` loads: Qwen2.5-VL, Qwen3-VL (`Qwen/Qwen3-VL-4B-Instruct`), InternVL3
 (`OpenGVLab/InternVL3-8B-hf`) and others.
 
-    create("Qwen/Qwen2.5-VL-7B-Instruct", "vlm", quantisation="4bit").chat([ChatRequest(images=(photo,), text="...")])
+    vlm = TransformersVlm("Qwen/Qwen2.5-VL-7B-Instruct", "vlm", quantisation="4bit")
+    vlm.chat([ChatRequest(images=(photo,), text="...")])
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from a4agent.errors import A4Error, ConfigError
-from a4agent.experts.local.base import QUANTISE, LocalExpert, Placement, Stopwatch, place
-from a4agent.experts.local.checkpoints import Checkpoint, find_checkpoint
+from a4agent.experts.local.base import QUANTISE, LocalExpert, Stopwatch, place
+from a4agent.experts.local.checkpoints import find_checkpoint
 from a4agent.experts.local.generation import ChatModel, Turn
 from a4agent.protocols import ChatAnswer, ChatRequest, Role
 
@@ -21,21 +22,8 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 
-def create(
-    model: str,
-    role: Role,
-    *,
-    revision: str | None = None,
-    device: str = "auto",
-    dtype: str = "auto",
-    attention: str = "auto",
-    quantisation: str = "none",
-    max_batch: int = 4,
-    max_pixels: int | None = None,
-    temperature: float = 0.0,
-    template: Mapping[str, Any] | None = None,
-) -> TransformersVlm:
-    """A vision-language model of transformers.
+class TransformersVlm(LocalExpert):
+    """A vision-language model of transformers; an answer is the same alone and in a batch, which is padded on the left.
 
     Args:
         model: a folder, or a name on the hub.
@@ -55,56 +43,44 @@ def create(
         ModelFilesError: no such checkpoint, or the hub cannot be reached.
         ConfigError: a setting has a value it does not take.
     """
-    if temperature < 0:
-        raise ConfigError(f"temperature must be at least 0, not {temperature!r}")
-    if max_pixels is not None and max_pixels < 1:
-        raise ConfigError(f"max_pixels is a positive number of pixels, not {max_pixels!r}")
-    placement = place(device, dtype, attention, quantisation)
-    checkpoint = find_checkpoint(model, revision=revision)
-    return TransformersVlm(
-        f"transformers:{model}", checkpoint, placement, max_batch, max_pixels, temperature, dict(template or {})
-    )
-
-
-class TransformersVlm(LocalExpert):
-    """Answers in batches, padded on the left, so that an answer is the same alone and among others."""
 
     shrinking = (QUANTISE,)
 
     def __init__(
         self,
-        id: str,
-        checkpoint: Checkpoint,
-        placement: Placement,
+        model: str,
+        role: Role,
+        *,
+        revision: str | None = None,
+        device: str = "auto",
+        dtype: str = "auto",
+        attention: str = "auto",
+        quantisation: str = "none",
         max_batch: int = 4,
         max_pixels: int | None = None,
         temperature: float = 0.0,
         template: Mapping[str, Any] | None = None,
     ) -> None:
-        settings = {"max_pixels": max_pixels, "temperature": temperature, "template": dict(template or {})}
-        super().__init__(id, checkpoint, placement, settings=settings, max_batch=max_batch)
+        if temperature < 0:
+            raise ConfigError(f"temperature must be at least 0, not {temperature!r}")
+        if max_pixels is not None and max_pixels < 1:
+            raise ConfigError(f"max_pixels must be a positive number of pixels, not {max_pixels!r}")
+        placement = place(device, dtype, attention, quantisation)
+        checkpoint = find_checkpoint(model, revision=revision)
+        self._template = dict(template or {})
+        settings = {"max_pixels": max_pixels, "temperature": temperature, "template": self._template}
+        super().__init__(f"transformers:{model}", checkpoint, placement, settings=settings, max_batch=max_batch)
         self._max_pixels = max_pixels
-        self._template = template
         self._sampling = {"do_sample": True, "temperature": temperature} if temperature else {}
-        self._model: ChatModel | None = None
 
     def chat(self, requests: Sequence[ChatRequest]) -> list[ChatAnswer | A4Error]:
-        """Answer each request; an answer cut off by `max_tokens` has the `finish_reason` "length".
-
-        Raises:
-            ResourceError: the weights do not fit.
-            ProviderError: the model failed.
-        """
+        """Answer each request; an answer cut off by `max_tokens` has the `finish_reason` "length"."""
         return self._in_batches(requests, self._answer, alike=lambda request: bool(request.images))
 
     def _load(self) -> None:
         self._model = ChatModel.load(self.checkpoint, self.placement, template=self._template)
 
-    def _unload(self) -> None:
-        self._model = None
-
     def _answer(self, requests: Sequence[ChatRequest]) -> list[ChatAnswer]:
-        assert self._model is not None
         watch = Stopwatch()
         turns = [Turn(tuple(map(self._sized, r.images)), r.text, r.system) for r in requests]
         generations = self._model.generate(turns, [r.max_tokens for r in requests], self._sampling)
@@ -128,3 +104,6 @@ def split_thinking(text: str) -> tuple[str, str]:
     if not end:
         return "", text
     return thinking.replace("<think>", "", 1).strip(), answer.strip()
+
+
+create = TransformersVlm
