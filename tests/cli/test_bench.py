@@ -13,7 +13,7 @@ from rich.console import Console
 
 import killable
 import pictures
-from a4agent.cli import bench
+from a4agent.cli import bench, common
 from a4agent.cli.bench import words
 from a4agent.cli.main import main
 from a4agent.experts import registry
@@ -54,14 +54,14 @@ def test_a_run_from_bench_to_report(a4: Type) -> None:
     assert "n 10  scored 10  failed 2" in out
     (folder,) = Path("runs").iterdir()
     assert folder.name.startswith("folder-drawn-")
-    assert "10 samples to ask, 0 there" in err
+    assert "10 samples to ask, 0 done" in err
     assert "1 failed like this: " in err
     assert f"a4 report {folder}" in err
     assert len(read_run(folder).records) == 10
 
     code, out, err = a4(*BENCH)
-    assert "0 samples to ask, 10 there" in err
-    assert a4(*BENCH, "--retry", "error,invalid")[2].count("2 samples to ask, 8 there") == 1
+    assert "0 samples to ask, 10 done" in err
+    assert a4(*BENCH, "--retry", "error,invalid")[2].count("2 samples to ask, 8 done") == 1
 
     code, out, _ = a4("report", str(folder))
     assert (code, out.strip()) == (0, str(folder / "report.html"))
@@ -166,7 +166,7 @@ def test_a_suite_has_one_budget(a4: Type) -> None:
     shutil.rmtree("runs")
     _, _, err = a4(*suite, "0.2")
     assert "engine.max_cost = 0 dollars" in err, "what floats leave of the budget pays for nothing"
-    assert "the suite has one budget; used of it were $0.2000 and " in err
+    assert "the suite has one budget and used $0.2000 and " in err
 
 
 def test_data_without_samples_is_a_mistake(a4: Type) -> None:
@@ -182,7 +182,7 @@ def test_a_retry_that_the_cache_answers_is_told(a4: Type, tmp_path: Path) -> Non
     cached = (*BENCH, "--out", "run", "--cache", "write", "--set", f"engine.cache_dir={tmp_path / 'cache'}")
     a4(*cached)
     assert "--cache off" not in a4(*cached)[2]
-    assert "with --cache off it is" in a4(*cached, "--retry", "invalid,empty")[2]
+    assert "use --cache off for that" in a4(*cached, "--retry", "invalid,empty")[2]
     assert "--cache off" not in a4(*BENCH, "--out", "run", "--retry", "invalid,empty")[2]
 
 
@@ -218,15 +218,14 @@ def test_a_sample_that_takes_too_long_is_an_error_of_its_own(a4: Type) -> None:
 
 def test_the_live_line_fits_eighty_columns(monkeypatch: pytest.MonkeyPatch) -> None:
     console = Console(file=io.StringIO(), force_terminal=True, width=80, color_system=None)
-    monkeypatch.setattr(bench, "messages", console)
+    monkeypatch.setattr(common, "messages", console)
     progress = Progress(planned=2000, to_ask=2000)
     for number in range(1203):
         progress.count(Row(60, 100) if number % 10 else Row(0, 50, "error"), "strict")
     progress.asked, progress.cost = 1203, 112.37
     display = bench.Display("ragnet-handal-easy, paper-open-without-dreamer", progress)
     display.update(progress)
-    assert display._bar is not None
-    console.print(display._bar.get_renderable())
+    console.print(display.bar.get_renderable())
     (line,) = console.file.getvalue().splitlines()[:1]
     assert "1203/2000" in line
     assert line.rstrip().endswith("left, $112.37")
@@ -250,10 +249,9 @@ def test_the_live_line_of_a_retry_does_not_begin_at_its_end(monkeypatch: pytest.
     assert progress.left == 20
     assert words(progress, 9.0) == "gIoU 60.0, 1 failed, 1.0/s, 0:00:20 left"
     console = Console(file=io.StringIO(), force_terminal=True, width=80, color_system=None)
-    monkeypatch.setattr(bench, "messages", console)
+    monkeypatch.setattr(common, "messages", console)
     display = bench.Display("folder, offline", progress)
-    assert display._bar is not None
-    console.print(display._bar.get_renderable())
+    console.print(display.bar.get_renderable())
     assert "20/40" in console.file.getvalue()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,14 +11,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import typer
 
 from a4agent.cli import common
-from a4agent.cli.benchmark_data import OptionsOption, opened, with_samples
-from a4agent.cli.common import ProfileOption, SetOption, messages, say
+from a4agent.cli.common import (
+    CacheOption,
+    JsonOption,
+    OptionsOption,
+    ProfileOption,
+    ProtocolOption,
+    SetOption,
+    opened,
+)
 from a4agent.cli.score import LeakOption, leaks_of, show_scores
 from a4agent.errors import A4Error, BudgetExceeded, ConfigError, UnknownNameError
 
 if TYPE_CHECKING:
-    from rich.progress import Progress as Bar
-
     from a4agent.agent import A4Agent
     from a4agent.config import Settings
     from a4agent.runs.bench import Bench, Progress
@@ -47,18 +51,18 @@ def bench(
         str | None, typer.Option(metavar="STATUS,...", help="Ask again what ended as error, invalid or empty.")
     ] = None,
     oracle: Annotated[
-        str | None, typer.Option(help="The truth instead of a stage and those before: thinker, detector, segmenter.")
+        str | None, typer.Option(help="Replace a stage and those before by the truth: thinker, detector, segmenter.")
     ] = None,
     suite: Annotated[
         str | None, typer.Option(help="All systems of one table: paper-table-1 to paper-table-6, or a TOML file.")
     ] = None,
-    protocol: Annotated[str | None, typer.Option(help="strict, affordance-r1, affordance-r1-umd or ragnet.")] = None,
+    protocol: ProtocolOption = None,
     option: OptionsOption = None,
-    cache: Annotated[str | None, typer.Option(help="off, read or write: reuse answers kept on disk.")] = None,
+    cache: CacheOption = None,
     max_cost: Annotated[float | None, typer.Option(help="Stop at this many US dollars; run again to go on.")] = None,
     max_seconds: Annotated[float | None, typer.Option(help="Stop after this long; run again to go on.")] = None,
     max_sample_seconds: Annotated[
-        float | None, typer.Option(help="Give a sample up after this long; it is an error, the run goes on.")
+        float | None, typer.Option(help="Give up a sample after this long; it is an error, the run goes on.")
     ] = None,
     engine: Annotated[
         Literal["local", "ray"],
@@ -67,14 +71,14 @@ def bench(
     leak: LeakOption = None,
     accept: Annotated[
         float | None,
-        typer.Option(min=0, max=1, help="Ask nobody: read the run again at this threshold of confidence."),
+        typer.Option(min=0, max=1, help="Ask no model: score the run again at this threshold of confidence."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the scores as JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Run a profile on a benchmark and score it.
 
-    A sample is in the run folder as soon as it is scored, so a run may be stopped at any time. Started again, it
-    does only what is missing.
+    Each sample is kept in the run folder as soon as it is scored, so a run may be stopped at any time. The same
+    command then does what is missing.
     """
     from a4agent.runs import scores
     from a4agent.runs.bench import Bench, Selection
@@ -100,14 +104,14 @@ def bench(
         if benchmark or profile or out:
             raise ConfigError("a suite names benchmarks, profiles and folders; remove BENCHMARK, --profile and --out")
         table = load_suite(suite)
-        benchmarks = [with_samples(opened(name, data, option)) for name in table.benchmark_names()]
+        benchmarks = [opened(name, data, option, empty=False) for name in table.benchmark_names()]
         systems = [
             [Bench(one, _settings_of(system, sets, limits), label=system.label, **plan) for one in benchmarks]
             for system in table.system
         ]
     elif benchmark:
         settings = common.settings(profile, sets, **limits)
-        systems = [[Bench(with_samples(opened(benchmark, data, option)), settings, out=out, **plan)]]
+        systems = [[Bench(opened(benchmark, data, option, empty=False), settings, out=out, **plan)]]
     else:
         raise ConfigError("which benchmark? `a4 data list` names them; for instance: a4 bench folder --data examples")
     if accept is not None:
@@ -116,7 +120,7 @@ def bench(
         runs, code = _run_all(systems, as_json)
     if as_json:
         found = [scores.summary(run, accept) for run in runs]
-        print(json.dumps(found if suite else found[0] if found else None, indent=1))
+        common.print_json(found if suite else found[0] if found else None)
     elif suite and runs:
         for one in fill(runs, load_suite(suite).table):
             print("\n" + one.render("markdown"), end="")
@@ -126,7 +130,7 @@ def bench(
 def _run_all(systems: Sequence[Sequence[Bench]], as_json: bool) -> tuple[list[Run], int]:
     """Run one system after the other, each on all its benchmarks; returns the runs and the exit code.
 
-    In a suite, a system that cannot be run does not keep the others from it. A budget is one for all of it.
+    In a suite, the other systems still run after one that cannot, and all share one budget.
     """
     runs: list[Run] = []
     worst = common.OK
@@ -141,7 +145,7 @@ def _run_all(systems: Sequence[Sequence[Bench]], as_json: bool) -> tuple[list[Ru
                     cost, seconds = cost + ended.cost, seconds + time.monotonic() - started
                     worst = max(worst, ended.code)
                     if isinstance(ended.stopped, BudgetExceeded) and work is not systems[0][0]:
-                        common.say(f"the suite has one budget; used of it were ${cost:.4f} and {seconds:.0f} s")
+                        common.say(f"the suite has one budget and used ${cost:.4f} and {seconds:.0f} s of it")
                     if isinstance(ended.stopped, KeyboardInterrupt | BudgetExceeded):
                         return runs, ended.code
         except A4Error as error:
@@ -152,7 +156,7 @@ def _run_all(systems: Sequence[Sequence[Bench]], as_json: bool) -> tuple[list[Ru
 
 
 def _read_again(works: Sequence[Bench], accept: float, as_json: bool) -> list[Run]:
-    """The runs that are there, with their answers accepted or abstained at another threshold.
+    """The existing runs, with their answers accepted or abstained at another threshold.
 
     Raises:
         ConfigError: the answers of a run have no confidence.
@@ -175,10 +179,10 @@ def _read_again(works: Sequence[Bench], accept: float, as_json: bool) -> list[Ru
 
 
 def _within(work: Bench, cost: float, seconds: float) -> Bench:
-    """The same with what is left of its budget after so many US dollars and seconds."""
+    """The same with what is left of its budget after that many US dollars and seconds."""
     limits = work.settings.engine
     left = {
-        name: max(round(limit - used, 9), 0.0)  # what floats leave of 0.1 + 0.2 - 0.3 would pay for a sample
+        name: max(round(limit - used, 9), 0.0)  # the rest of 0.3 - 0.1 - 0.2 in floats would pay for a sample
         for name, limit, used in (("max_cost", limits.max_cost, cost), ("max_seconds", limits.max_seconds, seconds))
         if limit is not None and used
     }
@@ -187,14 +191,14 @@ def _within(work: Bench, cost: float, seconds: float) -> Bench:
 
 
 def _agent(work: Bench) -> A4Agent:
-    """The agent to run. On Ray the models are on other machines: here its experts only say what they are."""
+    """The agent to run. With Ray the models run elsewhere: the experts here only describe themselves."""
     from a4agent.agent import A4Agent
 
     return A4Agent.from_settings(work.settings) if work.engine == "ray" else common.build_agent(work.settings)
 
 
 class _Ended(NamedTuple):
-    """One run as it stands, what this start of it cost in US dollars, and what stopped it early."""
+    """A run, the exit code and the US dollars of this start, and what stopped it early."""
 
     run: Run
     code: int
@@ -203,15 +207,15 @@ class _Ended(NamedTuple):
 
 
 def _run(work: Bench, agent: A4Agent, as_json: bool) -> _Ended:
-    """Run one configuration on one benchmark and say what came of it."""
+    """Run one configuration on one benchmark and print its scores."""
     from a4agent.runs import scores
     from a4agent.runs.store import read_run
 
     title = f"{work.benchmark.name}, {work.label or work.settings.name}"
     stopped: BaseException | None = None
     with work.open(agent) as session:
-        there = session.progress.planned - session.progress.to_ask
-        common.say(f"{title}: {session.progress.to_ask} samples to ask, {there} there, in {session.folder}/")
+        done = session.progress.planned - session.progress.to_ask
+        common.say(f"{title}: {session.progress.to_ask} samples to ask, {done} done, in {session.folder}/")
         with Display(title, session.progress) as display:
             try:
                 for _ in session:
@@ -223,20 +227,20 @@ def _run(work: Bench, agent: A4Agent, as_json: bool) -> _Ended:
         scores.save(run)
         if not as_json:
             _show_scores(run)
-    _tell(progress)
+    _show_calls(progress)
     if work.retry and progress.stats.saved:
-        common.warn("an answer that the cache holds was not asked for again; with --cache off it is")
+        common.warn("answers in the cache were not asked for again; use --cache off for that")
     code = common.SOME_FAILED if progress.failed or progress.unscored else common.OK
     if isinstance(stopped, KeyboardInterrupt):
-        common.say("interrupted" + ("" if run.complete else "; the same command goes on from here"))
+        common.say("interrupted" + ("" if run.complete else "; the same command continues from here"))
         code = common.INTERRUPTED
     elif stopped is not None:
         code = common.fail(stopped)
     return _Ended(run, code, progress.cost, stopped)
 
 
-def _tell(progress: Progress) -> None:
-    """What should not go unnoticed, and what each model was asked."""
+def _show_calls(progress: Progress) -> None:
+    """Warn of samples without a score, and count the calls of each model."""
     for id, reason in list(progress.unscored.items())[:SHOWN]:
         common.warn(f"no score for {id!r}: {reason}")
     if len(progress.unscored) > SHOWN:
@@ -261,9 +265,9 @@ def _show_scores(run: Run, accept: float | None = None) -> None:
     groups = scores.by_group(run).get("category", {})
     show_scores(found, groups, scores.measures(run), trust(run, accept))
     print("; ".join(f"{question}: {run.manifest.leaks[name]}" for name, question in LEAKS.items()))
-    told = [record.row["error"] for record in run.records.values() if record.row["error"]]
+    messages = [record.row["error"] for record in run.records.values() if record.row["error"]]
     for reason, count in scores.errors(run).most_common(SHOWN):
-        first = next(error for error in told if error.startswith(reason))
+        first = next(message for message in messages if message.startswith(reason))
         common.say(f"{count} failed like this: {first}")
     common.say(f"to look at it: a4 report {run.folder}")
 
@@ -288,31 +292,30 @@ class Display:
     """Shows progress on stderr: a bar in a terminal, a line every half minute in a log."""
 
     def __init__(self, title: str, progress: Progress) -> None:
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+
         self._title = title
-        self._started = time.monotonic()
-        self._told = self._started
-        self._bar = _bar() if messages.is_terminal else None
-        self._task = self._bar and self._bar.add_task(
-            title, total=progress.planned, completed=progress.planned - progress.left, words=words(progress, 0.0)
-        )
+        self._started = self._last_line = time.monotonic()
+        # The title is on the line above, so that 80 columns have room for the figures.
+        columns = BarColumn(bar_width=None), MofNCompleteColumn(), TextColumn("{task.fields[words]}")
+        self.bar = common.bar(*columns, expand=True)
+        done = progress.planned - progress.left
+        self._task = self.bar.add_task(title, total=progress.planned, completed=done, words=words(progress, 0.0))
 
     def __enter__(self) -> Display:
-        if self._bar:
-            self._bar.start()
+        self.bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._bar:
-            self._bar.stop()
+        self.bar.stop()
 
     def update(self, progress: Progress) -> None:
         now = time.monotonic()
         done, text = progress.planned - progress.left, words(progress, now - self._started)
-        if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, completed=done, words=text)
-        elif now - self._told > PLAIN_SECONDS:
-            self._told = now
-            say(f"{self._title}: {done} of {progress.planned}, {text}")
+        self.bar.update(self._task, completed=done, words=text)
+        if self.bar.disable and now - self._last_line > PLAIN_SECONDS:
+            self._last_line = now
+            common.say(f"{self._title}: {done} of {progress.planned}, {text}")
 
 
 def words(progress: Progress, seconds: float) -> str:
@@ -332,17 +335,3 @@ def words(progress: Progress, seconds: float) -> str:
 def _clock(seconds: float) -> str:
     minutes, seconds = divmod(round(seconds), 60)
     return f"{minutes // 60}:{minutes % 60:02d}:{seconds:02.0f}"
-
-
-def _bar() -> Bar:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
-    # No title: it stands on the line above, and 80 columns have room for the figures alone.
-    return Progress(
-        BarColumn(bar_width=None),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[words]}"),
-        console=messages,
-        transient=True,
-        expand=True,
-    )

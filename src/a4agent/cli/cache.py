@@ -1,8 +1,7 @@
-"""`a4 cache info|clear`: the answers kept on disk."""
+"""`a4 cache info` and `a4 cache clear`: the answers kept on disk."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,7 +23,7 @@ FolderOption = Annotated[
 @app.command()
 def info(
     folder: FolderOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    as_json: common.JsonOption = False,
 ) -> None:
     """Say where the cache is and how much it holds."""
     from a4agent.engine.cache import Cache, CacheInfo
@@ -32,10 +31,10 @@ def info(
     place, limit_gb = _place(folder)
     found = Cache(place).info() if _is_cache(place) else CacheInfo(place, 0, 0)
     if as_json:
-        row = {"folder": str(place), "entries": found.entries, "bytes": found.bytes, "limit_bytes": int(limit_gb * 1e9)}
-        print(json.dumps(row))
+        limit = int(limit_gb * 1e9)
+        common.print_json({"folder": str(place), "entries": found.entries, "bytes": found.bytes, "limit_bytes": limit})
     else:
-        print(f"{place}: {_told(found)}; the limit is {limit_gb:g} GB (engine.cache_gb)")
+        print(f"{place}: {_size(found)}; the limit is {limit_gb:g} GB (engine.cache_gb)")
 
 
 @app.command()
@@ -51,9 +50,9 @@ def clear(
         print(f"{place}: nothing to remove")
         return
     cache = Cache(place)
-    if not yes and not typer.confirm(f"Remove {_told(cache.info())} in {place}?", default=False, err=True):
+    if not yes and not typer.confirm(f"Remove {_size(cache.info())} in {place}?", default=False, err=True):
         raise InputError("nothing was removed; add --yes to remove without a question")
-    print(f"{place}: removed {_told(cache.clear())}")
+    print(f"{place}: removed {_size(cache.clear())}")
 
 
 def _place(folder: Path | None) -> tuple[Path, float]:
@@ -65,12 +64,12 @@ def _place(folder: Path | None) -> tuple[Path, float]:
 
 
 def _is_cache(place: Path) -> bool:
-    """Whether answers were ever kept in `place`; looking makes no folder."""
+    """Whether answers were ever kept in `place`, without creating it."""
     from a4agent.engine.cache import FORMAT
 
     return (place / FORMAT).is_dir()
 
 
-def _told(info: CacheInfo) -> str:
+def _size(info: CacheInfo) -> str:
     size = f"{info.bytes / 1e6:.1f} MB" if info.bytes >= 1e5 else f"{info.bytes / 1e3:.1f} kB"
     return f"{info.entries} answers, {size}"

@@ -1,16 +1,16 @@
-"""`a4 data`: is a dataset all there, what does it ask, and make one where there is none."""
+"""`a4 data`: check a dataset, list what it asks, or make one."""
 
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from a4agent.cli import common
-from a4agent.cli.benchmark_data import NameArgument, OptionsOption, opened
-from a4agent.cli.data_make import make
+from a4agent.cli.common import JsonOption, NameArgument, OptionsOption, opened
 from a4agent.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
@@ -18,13 +18,12 @@ if TYPE_CHECKING:
     from a4agent.benchmarks.check import DataCheck
 
 app = typer.Typer(no_args_is_help=True, help="Check benchmark data, list what it asks, or make some.")
-app.command("make")(make)
 PathArgument = Annotated[Path, typer.Argument(metavar="PATH", help="The folder of the dataset.")]
 SHOWN = 10
 
 
 @app.command("list")
-def list_benchmarks(as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False) -> None:
+def list_benchmarks(as_json: JsonOption = False) -> None:
     """List the benchmarks that can be read."""
     from a4agent.benchmarks.registry import factory_of, names, options_of
 
@@ -32,12 +31,12 @@ def list_benchmarks(as_json: Annotated[bool, typer.Option("--json", help="Print 
     for name in names():
         try:
             factory = factory_of(name)
-        except ConfigError:  # a reader that cannot be loaded: a warning has named it
+        except ConfigError:  # its module cannot be imported, as a warning has said
             continue
         about = (factory.__doc__ or "").strip().partition("\n")[0]
         found.append({"benchmark": name, "options": options_of(factory), "about": about})
     if as_json:
-        print(json.dumps(found, indent=1))
+        common.print_json(found)
         return
     for row in found:
         options = "".join(f"  --option {name}={value}" for name, value in row["options"].items())
@@ -49,7 +48,7 @@ def check(
     benchmark: NameArgument,
     path: PathArgument,
     option: OptionsOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Open every picture and mask of a dataset: what is missing, broken or empty, and where to get it."""
     from a4agent.benchmarks.check import check as check_all
@@ -60,7 +59,7 @@ def check(
         found = check_all(data, lambda _: progress.advance(task))
     if as_json:
         facts = {"licence": data.licence, "source": data.source, "fingerprint": data.fingerprint()}
-        print(json.dumps({**facts, **found.to_dict()}, indent=1))
+        common.print_json({**facts, **found.to_dict()})
     else:
         _show(data, found)
     if not found.ok:
@@ -72,7 +71,7 @@ def overlap(
     left: Annotated[str, typer.Argument(metavar="A", help="A folder of images, or BENCHMARK=PATH.")],
     right: Annotated[str, typer.Argument(metavar="B", help="Another one.")],
     near: Annotated[int, typer.Option(min=0, max=32, help="How many of 64 bits may differ.")] = 6,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Find the images that two sets share, also scaled or recompressed.
 
@@ -91,7 +90,7 @@ def overlap(
                 common.warn(problem)
     pairs = shared(*hashes, near=near)
     if as_json:
-        print(json.dumps([{"a": pair.left, "b": pair.right, "distance": pair.distance} for pair in pairs], indent=1))
+        common.print_json([{"a": pair.left, "b": pair.right, "distance": pair.distance} for pair in pairs])
         return
     for pair in pairs:
         print(f"{pair.left}  {pair.right}  ({pair.distance} bits differ)")
@@ -122,9 +121,9 @@ def queries(
     images: Annotated[Path | None, typer.Option(help="Write pictures that lie inside a table to this folder.")] = None,
     option: OptionsOption = None,
 ) -> None:
-    """Print what a dataset asks, one JSON line a sample (id, image, instruction): for systems with code of their own.
+    """Print a JSON line per sample (id, image, instruction), for systems with code of their own.
 
-    Their masks, one `<id>.png` each, are scored by `a4 score`.
+    `a4 score` scores their masks, one `<id>.png` each.
     """
     for sample in opened(benchmark, path, option):
         query = sample.query
@@ -141,6 +140,38 @@ def _written(image: Any, identity: str, folder: Path | None) -> Path:
     path = folder / f"{identity}.png"
     load_image(image).save(path)
     return path
+
+
+@app.command()
+def make(
+    benchmark: Annotated[Literal["sim"], typer.Argument(metavar="BENCHMARK", help="sim: scenes from simulators.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The folder to write; new, empty, or of a broken-off set.")],
+    n: Annotated[int, typer.Option("--n", min=1, help="How many samples.")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same files.")] = 0,
+    split: Annotated[
+        Literal["dev", "test", "all"], typer.Option(help="Which things to show: dev and test share none.")
+    ] = "test",
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes, 2 by default; the files are the same.")] = None,
+    things: Annotated[Path | None, typer.Option(help="A TOML file that declares other things than ours.")] = None,
+) -> None:
+    """Render pictures of things to handle, with exact truth: masks, boxes, points, depth and camera.
+
+    Needs the extra `sim` and three packages of assets; the error says how to get what is missing.
+    """
+    from a4agent.benchmarks.registry import maker_of
+
+    with common.bar() as progress:
+        task = progress.add_task("rendering", total=n)
+        folder = maker_of(benchmark)(
+            out,
+            n=n,
+            seed=seed,
+            split=None if split == "all" else split,
+            catalogue_path=things,
+            workers=workers or min(2, os.cpu_count() or 1),
+            on_sample=lambda done, _: progress.update(task, completed=done),
+        )
+    print(folder)
 
 
 def _show(data: Benchmark, found: DataCheck) -> None:

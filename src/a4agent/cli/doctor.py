@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, cast
-
-import typer
+from typing import Any, cast
 
 from a4agent import __version__
 from a4agent.benchmarks import registry
+from a4agent.cli import common
 from a4agent.config import ExpertSettings, load_profile, load_settings, profile_names
 from a4agent.errors import A4Error
 from a4agent.experts import registry as experts
@@ -21,11 +19,11 @@ from a4agent.protocols import Role
 from a4agent.requirements import EXTRAS, check_profile, missing_modules
 
 
-def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False) -> None:
+def doctor(as_json: common.JsonOption = False) -> None:
     """Say what works on this machine, and how to get the rest."""
     report = examine()
     if as_json:
-        print(json.dumps(report, indent=1))
+        common.print_json(report)
     else:
         _show(report)
 
@@ -64,7 +62,7 @@ def examine() -> dict[str, Any]:
 
 
 def _settings() -> str:
-    """What is wrong with the variables `A4_*` and `a4.toml` here, which every command reads; "" if nothing is."""
+    """What is wrong with the variables `A4_*` and `a4.toml` here, which every command reads; "" if they are valid."""
     try:
         load_settings()
     except A4Error as error:
@@ -73,7 +71,7 @@ def _settings() -> str:
 
 
 def _retiring() -> dict[str, str]:
-    """The models of the settings in effect that are about to be switched off, with the day. Asks their servers."""
+    """The models of the current settings that are about to be switched off, with the day. Asks their servers."""
     found: dict[str, str] = {}
     try:
         specs = load_settings().expert_specs()
@@ -93,13 +91,13 @@ def _retiring() -> dict[str, str]:
 
 
 def _announced(specs: Mapping[str, ExpertSettings]) -> dict[str, str]:
-    """The models that their vendors have said to switch off, with the day, as this package knows it. Asks nobody."""
+    """The models whose vendors have announced a last day, as far as this package knows. Sends no request."""
     dates = {spec.expert: experts.last_day(spec.expert, spec.settings) for spec in specs.values()}
     return {name: date for name, date in dates.items() if date}
 
 
 def _free_disk_gb() -> float | None:
-    """Of the home folder, where models go unless HF_HOME moves them; None if there is no home."""
+    """On the disk of the home folder, where models go unless HF_HOME moves them; None without a home."""
     try:
         return round(shutil.disk_usage(Path.home()).free / 1e9, 1)
     except (OSError, RuntimeError):
@@ -119,7 +117,7 @@ def _accelerators() -> list[str]:
         return []
     try:
         import torch
-    except (ImportError, OSError):  # a library below torch that does not load is an OSError
+    except (ImportError, OSError):  # OSError: a library that torch needs cannot be loaded
         return []
     if torch.cuda.is_available():
         return [
@@ -130,10 +128,9 @@ def _accelerators() -> list[str]:
 
 
 def _show(report: dict[str, Any]) -> None:
-    from rich.console import Console
     from rich.markup import escape
 
-    console = Console(highlight=False, emoji=False, soft_wrap=True)
+    console = common.output()
     good, bad = "[green]✓[/]", "[yellow]–[/]"
     console.print(f"a4agent {report['a4agent']}, Python {report['python']}, {escape(report['platform'])}")
     accelerators = ", ".join(report["accelerators"]) or "no GPU (the profiles `offline` and `api` need none)"
@@ -177,13 +174,9 @@ def _show(report: dict[str, Any]) -> None:
 
 def _in_short(missing: list[dict[str, str]]) -> str:
     """ "3 models, 1 key to get": what is missing, counted by the kind of command that gets it."""
-    kinds = {"pip": "library", "a4 models pull": "model", "export": "key"}
+    kinds, plurals = {"pip": "library", "a4 models pull": "model", "export": "key"}, {"library": "libraries"}
     fixes = {one["fix"] for one in missing}
     counts = {word: sum(fix.startswith(start) for fix in fixes) for start, word in kinds.items()}
     counts["thing"] = len(fixes) - sum(counts.values())
-    said = [f"{n} {word if n == 1 else _plural(word)}" for word, n in counts.items() if n]
-    return f"{', '.join(said)} to get"
-
-
-def _plural(word: str) -> str:
-    return f"{word[:-1]}ies" if word.endswith("y") and word != "key" else f"{word}s"
+    counted = [f"{n} {word}" if n == 1 else f"{n} {plurals.get(word, f'{word}s')}" for word, n in counts.items() if n]
+    return f"{', '.join(counted)} to get"

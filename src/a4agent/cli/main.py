@@ -1,4 +1,4 @@
-"""`a4`: the commands and where they live. Only the one that is called is imported, so that help is instant."""
+"""`a4`: the commands and their modules. Only the one that is called is imported, so that help is instant."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from a4agent.cli import common
 from a4agent.errors import A4Error, UserError
 
 CommandLineError: Any = typer.BadParameter.__mro__[2]
-"""click's base class; depending on the version, typer depends on click or carries its own copy."""
+"""click's base class; some versions of typer carry their own copy of click."""
 
 COMMANDS = {
     "predict": ("predict", "Find the part to act on, in images, folders or globs."),
@@ -32,14 +32,14 @@ COMMANDS = {
     "cache": ("cache", "Show or clear the answers kept on disk."),
     "doctor": ("doctor", "Say what works on this machine, and how to get the rest."),
     "serve": ("serve", "Serve affordances over HTTP."),
-    "app": ("web", "Open the web page."),
-    "mcp": ("mcp", "Offer the agent to language agents as tools (MCP)."),
+    "app": ("serve", "Open the web page."),
+    "mcp": ("serve", "Offer the agent to language agents as tools (MCP)."),
 }
-"""Command -> the module of `a4agent.cli` it lives in, and its line in the help."""
+"""Command -> its module in `a4agent.cli`, and its line in the help."""
 
 
 def build(name: str | None) -> typer.Typer:
-    """The application with the command `name` loaded, and a line of help for all others."""
+    """The application with the command `name` loaded, and a line of help for each of the others."""
     app = typer.Typer(
         name="a4",
         help="Which part of the thing in this picture do I act on?",
@@ -84,7 +84,7 @@ def _placeholder() -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Run `a4`. Exit codes: 0 ok, 1 some samples failed, 2 usage, 130 interrupted."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    for stream in (sys.stdout, sys.stderr):  # a name or an answer that the terminal cannot show is no reason to stop
+    for stream in (sys.stdout, sys.stderr):  # do not stop at a name or an answer that the terminal cannot show
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     name = next((argument for argument in arguments if not argument.startswith("-")), None)
@@ -106,7 +106,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _usage(error: Any) -> int:
-    """Print what is wrong with the command line, in one line; returns the exit code."""
+    """Print a mistake in the command line in one line; returns the exit code."""
     if type(error).__name__ == "NoArgsIsHelpError":  # its message is the help
         error.show(file=sys.stdout)
         return common.USAGE

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from a4agent.cli import common
-from a4agent.cli.common import ProfileOption, SetOption, messages, say
+from a4agent.cli.common import JsonOption, ProfileOption, SetOption, messages, say
 from a4agent.errors import ModelFilesError, ResourceError
 
 if TYPE_CHECKING:
@@ -26,7 +25,6 @@ NamesArgument = Annotated[
     list[str] | None,
     typer.Argument(metavar="[NAME]...", help="Profiles, experts (sam2:tiny), folders or OWNER/NAME[@REVISION]."),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
 
 
 @app.command("list")
@@ -37,7 +35,7 @@ def list_models(
     chosen = _with_profile(names, profile)
     found = _needs(chosen, sets) if chosen else _catalogue()
     if as_json:
-        print(json.dumps([_as_dict(need) for need in found], indent=1))
+        common.print_json([_as_dict(need) for need in found])
     else:
         _show(found, everything=not chosen)
 
@@ -105,7 +103,7 @@ def verify(
 
 
 def _repair(need: Need, path: Path) -> str:
-    """How to put damaged files right. In the hub's cache, snapshots are links into the folder to delete."""
+    """How to replace damaged files. In the hub's cache, snapshots are links into the folder to delete."""
     if need.is_folder:
         return "it is your own: replace what is damaged by hand"
     stored = next((parent.parent for parent in path.parents if parent.name == "snapshots"), path)
@@ -170,10 +168,9 @@ def _as_dict(need: Need) -> dict[str, Any]:
 
 
 def _show(needs: list[Need], *, everything: bool) -> None:
-    from rich.console import Console
     from rich.markup import escape
 
-    console = Console(highlight=False, emoji=False)
+    console = common.output()
     if not needs:
         console.print("no models to fetch: it works with APIs or with what is installed")
         return
@@ -182,7 +179,7 @@ def _show(needs: list[Need], *, everything: bool) -> None:
         mark = "[green]●[/]" if need.path else "[dim]○[/]"
         last = need.commit[:12] if everything else ", ".join(need.roles)
         end = f"  [dim]{escape(last)}[/]" if last else ""
-        console.print(f"{mark} {escape(need.name):{width}} {escape(need.terms)}{end}", soft_wrap=True)
+        console.print(f"{mark} {escape(need.name):{width}} {escape(need.terms)}{end}")
     console.print("[dim]● on this disk   ○ not yet[/]")
     if not everything:
         _advise(console, needs)
@@ -194,12 +191,12 @@ def _advise(console: Console, needs: list[Need]) -> None:
     if absent:
         size = sum(need.info.gigabytes or 0 for need in absent)
         names = " ".join(need.reference for need in absent)
-        console.print(f"about {size:.1f} GB to fetch: [cyan]a4 models pull {names}[/]", soft_wrap=True)
+        console.print(f"about {size:.1f} GB to fetch: [cyan]a4 models pull {names}[/]")
     pinned = [need for need in needs if need.commit and not need.revision]
     if pinned:
         console.print("[dim]to pin what is here, give the expert the setting revision:[/]")
     for need in pinned:
-        console.print(f'[dim]  {need.name}  revision = "{need.commit}"[/]', soft_wrap=True)
+        console.print(f'[dim]  {need.name}  revision = "{need.commit}"[/]')
 
 
 def _announce(sizes: dict[Need, int]) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from a4agent.cli import common
-from a4agent.cli.common import ProfileOption, SetOption, say
+from a4agent.cli.common import CacheOption, CostOption, ProfileOption, SetOption, say
 from a4agent.cli.sources import Source, find_sources, free_folder, name_results, split_arguments
 from a4agent.errors import InputError
 
@@ -33,8 +33,8 @@ def predict(
     sets: SetOption = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Where each image gets a folder of results.")] = Path("out"),
     as_json: Annotated[bool, typer.Option("--json", help="Print each answer as a line of JSON.")] = False,
-    cache: Annotated[str | None, typer.Option(help="off, read or write: reuse answers kept on disk.")] = None,
-    max_cost: Annotated[float | None, typer.Option(help="Stop at this many US dollars.")] = None,
+    cache: CacheOption = None,
+    max_cost: CostOption = None,
     depth: Annotated[
         Path | None, typer.Option(help="A depth image of the same size (16-bit PNG in millimetres, or .npy in metres).")
     ] = None,
@@ -69,7 +69,7 @@ def predict(
 
 @dataclass(frozen=True)
 class Sensor:
-    """Where the depth of an image lies, and its camera."""
+    """The files of an image's depth and camera."""
 
     depth: Path
     camera: Path
@@ -79,7 +79,7 @@ class Sensor:
         """Contacts and grasps of an answer, written to its folder.
 
         Raises:
-            InputError: the files cannot be read, or do not fit the image.
+            InputError: a file cannot be read, or does not fit the image.
         """
         from a4agent.acting.lifting import Intrinsics, read_depth
         from a4agent.acting.plan import draw_plan, plan_action
@@ -103,6 +103,7 @@ def _run(
 ) -> int:
     """Predict, save and print; returns how many samples were not accepted."""
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.text import Text
 
     from a4agent import engine
     from a4agent.types import Query
@@ -128,9 +129,11 @@ def _run(
                 action = {"action": plan.to_dict()} if plan else {}
                 print(json.dumps({"image": label, "out": str(folder), **affordance.to_dict(), **action}), flush=True)
             elif len(samples) == 1:
-                _tell(affordance, folder if saved else None, plan)
+                _show(affordance, folder if saved else None, plan)
             else:
-                _tell_in_short(affordance, label)
+                colour = {"ok": "green", "abstained": "yellow"}.get(affordance.status, "red")
+                line = Text.assemble((f"{affordance.status:10}", colour), f"{label}: {affordance.summary}")
+                common.output().print(line)
             progress.advance(task)
     failed = statuses["error"] + statuses["invalid"]
     if len(samples) > 1:
@@ -140,23 +143,11 @@ def _run(
     return failed + statuses["abstained"]
 
 
-def _tell_in_short(affordance: Affordance, label: str) -> None:
-    """One answer of many, in a line."""
-    from rich.console import Console
+def _show(affordance: Affordance, folder: Path | None, plan: ActionPlan | None = None) -> None:
+    """Print an answer; `folder` holds its files, None if they could not be written."""
     from rich.text import Text
 
-    colour = {"ok": "green", "abstained": "yellow"}.get(affordance.status, "red")
-    status = (f"{affordance.status:10}", colour)
-    console = Console(highlight=False, emoji=False, soft_wrap=True)
-    console.print(Text.assemble(status, f"{label}: {affordance.summary}"))
-
-
-def _tell(affordance: Affordance, folder: Path | None, plan: ActionPlan | None = None) -> None:
-    """All of an answer in words; `folder` is where its files lie, None if they could not be written."""
-    from rich.console import Console
-    from rich.text import Text
-
-    console = Console(highlight=False, emoji=False, soft_wrap=True)
+    console = common.output()
     answered = affordance.status in ("ok", "abstained")
     rows: list[tuple[str, str]] = [
         ("part" if answered else "answer", affordance.phrase if answered else affordance.summary)
@@ -203,7 +194,7 @@ def _metres(xyz: Any) -> str:
 
 
 def certainty(affordance: Affordance) -> str:
-    """ "0.34: no mug among the things seen": the confidence, and for an unsure answer the check that is worst."""
+    """ "0.34: no mug among the things seen": the confidence, and for an unsure answer its worst check."""
     worst = min(affordance.checks, key=lambda check: 1.0 if check.value is None else check.value, default=None)
     reason = f": {worst.note}" if worst and worst.note and affordance.status == "abstained" else ""
     return f"{affordance.confidence:.2f}{reason}"

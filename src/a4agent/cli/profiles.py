@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import re
 from typing import Annotated
 
 import typer
 
 from a4agent import requirements
+from a4agent.cli import common
 from a4agent.config import Settings, load_profile, profile_names
 from a4agent.requirements import check_profile
 
 
 def profiles(
     name: Annotated[str | None, typer.Argument(help="Show one profile whole.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    as_json: common.JsonOption = False,
 ) -> None:
     """List the profiles and what each needs."""
     names = [name] if name else profile_names()
     found = {known: load_profile(known) for known in names}
     if as_json:
-        print(json.dumps([_as_dict(known, settings) for known, settings in found.items()], indent=1))
+        common.print_json([_as_dict(known, settings) for known, settings in found.items()])
     elif name:
         _show_one(name, found[name])
     else:
@@ -39,7 +39,7 @@ def _as_dict(name: str, settings: Settings) -> dict[str, object]:
 
 
 def downloads(settings: Settings) -> list[str]:
-    """The checkpoints of a profile with their sizes, here or not; `a4 models list` says more."""
+    """The checkpoints of a profile with their sizes; see `a4 models list` for more."""
     return [
         f"{need.name} ({need.info.gigabytes:g} GB)" if need.info.gigabytes else need.name
         for need in requirements.needs(settings.expert_specs())
@@ -58,9 +58,7 @@ def _show_all(found: dict[str, Settings]) -> None:
     runs_here = {name: not check_profile(name) for name in found}
     for name in sorted(found, key=lambda name: not runs_here[name]):
         info, here = found[name].profile, runs_here[name]
-        memory = (
-            re.split(r"[;(]", info.memory)[0].strip().removeprefix("about ")
-        )  # how to do with less is told by the profile's own page
+        memory = re.split(r"[;(]", info.memory)[0].strip().removeprefix("about ")  # its own page has the rest
         mark, bold = ("[green]●[/]", f"[bold]{name}[/]") if here else ("[dim]○[/]", name)
         table.add_row(mark, bold, info.summary, memory)
     console = Console(highlight=False, emoji=False)
@@ -69,10 +67,9 @@ def _show_all(found: dict[str, Settings]) -> None:
 
 
 def _show_one(name: str, settings: Settings) -> None:
-    from rich.console import Console
     from rich.markup import escape
 
-    console = Console(highlight=False, emoji=False, soft_wrap=True)
+    console = common.output()
     info = settings.profile
     console.print(f"[bold]{name}[/]  {escape(info.summary)}")
     for role, spec in settings.expert_specs().items():

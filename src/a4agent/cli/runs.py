@@ -1,4 +1,4 @@
-"""`a4 report`, `compare`, `tables` and `calibrate`: what is done with run folders once they are there."""
+"""`a4 report`, `compare`, `tables` and `calibrate`: what to do with run folders."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def report(
 
 def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN RUN...", help="Run folders; the first is the reference.")],
-    protocol: Annotated[str | None, typer.Option(help="strict, affordance-r1, affordance-r1-umd or ragnet.")] = None,
+    protocol: common.ProtocolOption = None,
     html: Annotated[
         Path | None, typer.Option("--html", metavar="FILE", help="Write two runs side by side as one HTML page.")
     ] = None,
     show: OpenOption = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    as_json: common.JsonOption = False,
 ) -> None:
     """Compare runs on the samples they share.
 
@@ -66,14 +66,14 @@ def compare(
 
         _announce(write_comparison(pairs[0], html), show)
     elif as_json:
-        print(json.dumps(to_dict(pairs, tables), indent=1))
+        common.print_json(to_dict(pairs, tables))
     else:
         for pair in pairs:
             _show_pair(pair)
         for table in tables:
             _show_losses(table)
     if any(not run.complete for run in opened):
-        common.warn("a run is not complete; the comparison is of what there is")
+        common.warn("a run is not complete; only its samples so far are compared")
 
 
 def tables(

@@ -1,16 +1,15 @@
-"""`a4 score`: masks that another system's own code wrote, scored like everything else. Scores as lines of text."""
+"""`a4 score`: masks that another system wrote, scored like our own; and scores as lines of text."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from a4agent.cli import common
-from a4agent.cli.benchmark_data import DataOption, NameArgument, OptionsOption, opened, with_samples
+from a4agent.cli.common import DataOption, JsonOption, NameArgument, OptionsOption, ProtocolOption, opened
 from a4agent.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ def score(
         Path, typer.Option(help="A folder with one <id>.png a sample, or a JSON file of COCO RLE by id.")
     ],
     data: DataOption,
-    protocol: Annotated[str | None, typer.Option(help="strict, affordance-r1, affordance-r1-umd or ragnet.")] = None,
+    protocol: ProtocolOption = None,
     option: OptionsOption = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Keep them as a run folder, for report, compare and tables.")
@@ -53,7 +52,7 @@ def score(
         bool, typer.Option("--resize", help="Stretch masks that are over 4 times larger or smaller than the truth.")
     ] = False,
     by_category: Annotated[bool, typer.Option("--by-category", help="Also score each category.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Score masks that another system wrote.
 
@@ -64,7 +63,7 @@ def score(
     from a4agent.benchmarks.predictions import Predictions
     from a4agent.runs.external import outcomes_of, score_predictions, write_run
 
-    opened_data = with_samples(opened(benchmark, data, option))
+    opened_data = opened(benchmark, data, option, empty=False)
     protocol = protocol or opened_data.protocol
     metrics.protocol_of(protocol)
     leaks = leaks_of(leak)
@@ -94,7 +93,8 @@ def score(
     whole = metrics.score(rows, protocol)
     groups = metrics.score_by(rows, [outcome.category for outcome in outcomes], protocol) if by_category else {}
     if as_json:
-        print(json.dumps(_as_dict(opened_data, whole, groups), indent=1))
+        categories = {"categories": {name: scores.to_dict() for name, scores in groups.items()}} if groups else {}
+        common.print_json({"benchmark": opened_data.fingerprint(), "scores": whole.to_dict(), **categories})
     else:
         print(f"{opened_data.name}, protocol {whole.protocol}, {opened_data.licence}")
         show_scores(whole, groups)
@@ -122,11 +122,7 @@ def leaks_of(texts: Sequence[str] | None) -> dict[str, str]:
 
 
 def _check_names(data: Benchmark, masks: Predictions) -> None:
-    """Stop before any work if no prediction is for any sample.
-
-    Raises:
-        DataError: so it is.
-    """
+    """Raise DataError before any work if no prediction belongs to a sample."""
     ids = [sample.id for sample in data]
     if not any(map(masks.has, ids)):
         strays = masks.strays(ids)
@@ -138,7 +134,7 @@ def _check_names(data: Benchmark, masks: Predictions) -> None:
 
 
 def _report_problems(outcomes: list[ScoredSample], masks: Predictions) -> None:
-    """Warn of what was not found, not asked for, or of another size; all are what a wrong file looks like."""
+    """Warn of missing, stray and resized predictions, which a wrong file would have."""
     from a4agent.runs.external import MISSING
 
     strays = masks.strays(outcome.id for outcome in outcomes)
@@ -160,18 +156,13 @@ def _some(names: list[str]) -> str:
     return ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")
 
 
-def _as_dict(data: Benchmark, whole: Scores, groups: dict[str, Scores]) -> dict[str, Any]:
-    categories = {"categories": {name: scores.to_dict() for name, scores in groups.items()}} if groups else {}
-    return {"benchmark": data.fingerprint(), "scores": whole.to_dict(), **categories}
-
-
 def show_scores(
     whole: Scores,
     groups: Mapping[str, Scores] | None = None,
     measures: Mapping[str, Mean] | None = None,
     trust: Trust | None = None,
 ) -> None:
-    """Print scores on stdout: the counts, each measure in percent with its 95 % interval, then a row a group."""
+    """Print the counts, each measure in percent with its 95 % interval, then a row per group."""
     from a4agent.metrics import MEASURES
     from a4agent.runs.scores import measure_name
 
@@ -205,7 +196,7 @@ def _show_trust(found: Trust) -> None:
 
 
 def percent(value: float) -> str:
-    """A share of 1 in percent, "-" where it is not defined."""
+    """A share of 1 in percent; "-" for NaN."""
     return "     -" if value != value else f"{100 * value:6.2f}"
 
 

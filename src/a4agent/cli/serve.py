@@ -1,10 +1,10 @@
-"""`a4 serve`: the HTTP API for robots and services."""
+"""`a4 serve`, `a4 app` and `a4 mcp`: the agent over HTTP, as a web page, and as tools for language agents."""
 
 from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -13,6 +13,7 @@ from a4agent.errors import ConfigError, require
 
 if TYPE_CHECKING:
     from a4agent.agent import A4Agent
+    from a4agent.config import Settings
 
 
 def serve(
@@ -68,6 +69,83 @@ def serve(
     if access_log:
         _print_access_log()
     http_server.run(app, listening, seconds=seconds, limits=ConnectionLimits(total=connections))
+
+
+def app(
+    profile: common.ProfileOption = None,
+    host: Annotated[
+        str, typer.Option(help="The address to listen on; beyond loopback a password is needed.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one.")] = 7860,
+    browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = False,
+    sets: common.SetOption = None,
+) -> None:
+    """Open the web page.
+
+    Drop a photo, say what to do, and watch the stages answer.
+
+    Beyond loopback, visitors log in as a4 with the token of A4_SERVER_TOKEN as password.
+    """
+    require("gradio", extra="app")
+    from a4agent.serve import admission, http_server
+    from a4agent.serve.page import create_page
+
+    token = admission.read_token(host)
+    first = common.settings(profile, sets)
+
+    def settings(name: str) -> Settings:
+        return first if name == first.name else common.settings(name)
+
+    listening = http_server.bind(host, port)
+    page = create_page(settings, profile=first.name, auth=("a4", token) if token else None)
+    url = http_server.url_of(listening)
+    common.say(f"the page is at {url}; Ctrl+C ends")
+    if browser:
+        import webbrowser
+
+        webbrowser.open(url)
+    http_server.run(page, listening, seconds=10)
+
+
+def mcp(
+    profile: common.ProfileOption = None,
+    transport: Annotated[Literal["stdio", "http"], typer.Option(help="How the client connects.")] = "stdio",
+    host: Annotated[str, typer.Option(help="For http: the address; beyond loopback a token is needed.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="For http; 0 takes a free one.")] = 8001,
+    token_file: Annotated[
+        Path | None, typer.Option(help="For http: a file with the bearer token; else A4_SERVER_TOKEN is read.")
+    ] = None,
+    root: Annotated[
+        Path | None,
+        typer.Option(help="Read pictures by path only below this folder. Default: any path on stdio, none on http."),
+    ] = None,
+    sets: common.SetOption = None,
+) -> None:
+    """Offer the agent to language agents as tools (MCP).
+
+    The tools are locate_part, verify and lift_to_3d; the protocol is the Model Context Protocol.
+
+    [dim]claude mcp add a4agent -- a4 mcp --profile offline[/]
+    """
+    require("mcp", extra="mcp")
+    from a4agent.serve import mcp_server
+
+    if root is not None and not root.is_dir():
+        raise ConfigError(f"--root {str(root)!r} is not a folder")
+    settings = common.settings(profile, sets)
+    with common.build_agent(settings) as agent:
+        tools = mcp_server.PartTools(agent, any_path=transport == "stdio" and root is None, root=root)
+        if transport == "stdio":
+            mcp_server.create_mcp(tools).run("stdio")
+            return
+        from a4agent.serve import admission, http_server
+
+        token = admission.read_token(host, token_file)
+        listening = http_server.bind(host, port)
+        app = mcp_server.create_mcp_app(tools, token)
+        guarded = "with a token" if token else "for this machine only"
+        common.say(f"serving MCP at {http_server.url_of(listening)}/mcp {guarded}; Ctrl+C ends")
+        http_server.run(app, listening, seconds=10)
 
 
 def _agents(agent: A4Agent, workers: int) -> list[A4Agent]:

@@ -3,8 +3,8 @@
     find_images(["mug.jpg", "photos/", "shots/*.png", "https://example.org/cup.jpg", "-"])
         -> [Source("mug.jpg", Path("mug.jpg")), ..., Source("https://example.org/cup.jpg", b"..."), Source("-", b"...")]
 
-A source that names nothing is a mistake on the command line, so it ends the command before any work starts. A file
-that exists and cannot be decoded is one failed sample among the others.
+A source that names nothing is a mistake on the command line and ends the command before any work starts. A file that
+exists and cannot be decoded is one failed sample among the others.
 """
 
 from __future__ import annotations
@@ -152,14 +152,14 @@ def _exists(source: str) -> bool:
 
 
 def _looks_like_an_image(source: str) -> bool:
-    """Whether an argument can be meant as a source rather than as a word of the instruction."""
+    """Whether an argument looks like a source rather than a word of the instruction."""
     if source == "-" or _is_url(source) or _exists(source) or glob.has_magic(source):
         return True
     return "." in source or "/" in source or os.sep in source
 
 
 def _unreadable_parent(source: str) -> str:
-    """Why nothing is found where a folder on the way cannot be searched."""
+    """Names the folder on the way that cannot be searched, if there is one."""
     for parent in reversed(Path(source).parents):
         if parent.is_dir() and not os.access(parent, os.R_OK | os.X_OK):
             return f": cannot read the folder {str(parent)!r}, permission denied"
@@ -167,7 +167,7 @@ def _unreadable_parent(source: str) -> str:
 
 
 def name_results(sources: Sequence[Source]) -> dict[str, Source]:
-    """A folder name for each source, as short as is unique: mug, mug.jpg, left_mug.jpg, or with a number."""
+    """A folder name for each source, the shortest that is unique: mug, mug.jpg, left_mug.jpg, or with a number."""
     taken: set[str] = set()
     name_of: dict[int, str] = {}
 
@@ -197,7 +197,7 @@ def name_results(sources: Sequence[Source]) -> dict[str, Source]:
 
 
 def free_folder(out: Path, name: str, holds: str = "affordance.json") -> Path:
-    """`out/name`, or `out/name-2`, `out/name-3`, ...: the first that does not hold that file yet."""
+    """`out/name`, or `out/name-2`, `out/name-3`, ...: the first that does not have the file `holds` yet."""
     for number in itertools.count(1):
         folder = out / (name if number == 1 else f"{name}-{number}")
         if not (folder / holds).exists():

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from a4agent.cli import common
-from a4agent.cli.common import ProfileOption, SetOption, say
+from a4agent.cli.common import CacheOption, CostOption, ProfileOption, SetOption, say
 from a4agent.cli.sources import free_folder
 from a4agent.errors import InputError
 
 if TYPE_CHECKING:
+    from a4agent.types import Affordance
     from a4agent.video.track import FoundFrame
 
 SourceArgument = Annotated[str, typer.Argument(metavar="VIDEO", help="A video file, a folder of images, or camera:0.")]
 InstructionArgument = Annotated[str, typer.Argument(metavar="INSTRUCTION", help="What to do, in quotes.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print each frame as a line of JSON.")]
 
 
 def track(
@@ -30,9 +30,9 @@ def track(
     sets: SetOption = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="The folder to write.")] = Path("out/track"),
     tracker: Annotated[str, typer.Option(help="flow (OpenCV) or sam2-video.")] = "flow",
-    every: Annotated[int | None, typer.Option(min=1, help="Ground again after this many frames in any case.")] = None,
+    every: Annotated[int | None, typer.Option(min=1, help="Ground again after at most this many frames.")] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Stop after this many frames.")] = None,
-    as_json: JsonOption = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print each frame as a line of JSON.")] = False,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace earlier results instead of writing OUT-2, OUT-3, ...")
     ] = False,
@@ -114,13 +114,13 @@ def annotate(
     out: Annotated[Path, typer.Option("--out", "-o", help="The folder to write, or to go on with.")],
     profile: ProfileOption = None,
     sets: SetOption = None,
-    cache: Annotated[str | None, typer.Option(help="off, read or write: reuse answers kept on disk.")] = None,
-    max_cost: Annotated[float | None, typer.Option(help="Stop at this many US dollars.")] = None,
+    cache: CacheOption = None,
+    max_cost: CostOption = None,
 ) -> None:
     """Label every frame of a video or folder.
 
-    Writes OUT/annotations.parquet and OUT/coco.json: masks, boxes, points and confidence. A run that was broken off
-    goes on with the frames that are missing.
+    Writes OUT/annotations.parquet and OUT/coco.json: masks, boxes, points and confidence. A run that was stopped
+    continues with the missing frames.
     """
     from a4agent.video.annotate import annotate as label
     from a4agent.video.frames import open_frames
@@ -132,12 +132,12 @@ def annotate(
     with open_frames(source) as frames, common.build_agent(settings) as agent, common.bar() as progress:
         task = progress.add_task("annotating", total=frames.count)
 
-        def told(affordance: object) -> None:
-            statuses[getattr(affordance, "status", "")] += 1
+        def on_frame(affordance: Affordance) -> None:
+            statuses[affordance.status] += 1
             progress.advance(task)
 
         recipe = {"source": str(Path(source).resolve()), "profile": settings.name}
-        count = label(agent, frames, instruction, out, settings=settings.engine, recipe=recipe, on_frame=told)
+        count = label(agent, frames, instruction, out, settings=settings.engine, recipe=recipe, on_frame=on_frame)
         if frames.ended_early:
             common.warn(f"{frames.ended_early}; what was annotated is kept")
     counted = ", ".join(f"{number} {status}" for status, number in sorted(statuses.items())) or "nothing new"
