@@ -94,6 +94,19 @@ def test_a_role_the_expert_cannot_play_is_refused() -> None:
         registry.create("mine:x", "vlm")
 
 
+def test_a_class_that_cannot_play_a_role_is_refused_before_it_is_built(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Chats:
+        def __init__(self, model: str, role: str) -> None:
+            raise AssertionError("built")
+
+        def chat(self, requests: object) -> list[object]:
+            return []
+
+    monkeypatch.setitem(registry.plugins.added, "chats", Chats)
+    with pytest.raises(ConfigError, match=r"'chats:x' cannot be the detector: .* makes a VLM a detector"):
+        registry.create("chats:x", "detector")
+
+
 def test_all_built_in_providers_are_entry_points() -> None:
     assert {"openai", "transformers", "rex-omni", "sam2", "offline", "vlm-grounding"} <= set(registry.providers())
 

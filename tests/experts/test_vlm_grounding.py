@@ -15,7 +15,7 @@ from PIL import Image
 
 from a4agent.errors import ConfigError, ProviderUnavailable, TruncatedAnswer, UnknownNameError, UnreadableAnswer
 from a4agent.experts import registry
-from a4agent.experts.vlm_grounding import VlmDetector, create, dialects, smart_resize
+from a4agent.experts.vlm_grounding import create, dialects, smart_resize
 from a4agent.protocols import ChatAnswer, DetectRequest, ExpertBase
 from a4agent.testing import ScriptedVLM
 from a4agent.types import Detection, Usage
@@ -208,11 +208,16 @@ def test_the_fingerprint_holds_the_vlms():
     assert one.fingerprint() != two.fingerprint()
 
 
-def test_the_fingerprint_holds_the_whole_dialect():
+def test_the_fingerprint_holds_the_whole_dialect(monkeypatch):
     known = dialects()["qwen3-vl"]
-    one, two = (VlmDetector(replace(known, resize=rule), Scripted(), 9) for rule in ("none", "square 840"))
-    assert one.fingerprint() != two.fingerprint()
-    assert one.fingerprint() == VlmDetector(replace(one.dialect, source="elsewhere"), Scripted(), 9).fingerprint()
+
+    def fingerprint(**changes):
+        changed = {"qwen3-vl": replace(known, **changes)}
+        monkeypatch.setattr("a4agent.experts.vlm_grounding.dialects", lambda: changed)
+        return create("qwen3-vl", "detector", vlm=Scripted()).fingerprint()
+
+    assert fingerprint(resize="none") != fingerprint(resize="square 840")
+    assert fingerprint(source="here") == fingerprint(source="elsewhere")
 
 
 def test_over_the_wire_the_image_arrives_in_the_declared_size(openai_server):
@@ -239,10 +244,10 @@ def test_bad_names_and_missing_vlms_are_answered():
         create("affordance-r2", "detector", vlm=Scripted())
     with pytest.raises(UnknownNameError, match="affordance-r1"):
         registry.inner_experts("vlm-grounding:affordance-r2", {})
-    with pytest.raises(ConfigError, match="say which"):
+    with pytest.raises(ConfigError, match="name one"):
         create("thousandths", "detector")
-    with pytest.raises(ConfigError, match="detector"):
-        create("qwen3-vl", "vlm")
+    with pytest.raises(ConfigError, match="cannot be the vlm"):
+        registry.create("vlm-grounding:qwen3-vl", "vlm")
 
 
 def test_every_dialect_is_declared_in_full():

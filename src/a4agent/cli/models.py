@@ -80,7 +80,7 @@ def verify(
     """Check that models on this disk are whole; no network. Exit code 1 if one is not."""
     from rich.markup import escape
 
-    from a4agent.experts.intact import damage_in
+    from a4agent.experts.checkpoint_files import damage_in
 
     damaged = 0
     for need in _named(_with_profile(names, profile), sets):

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from a4agent.errors import CredentialError, ModelFilesError, ResourceError, UnknownNameError, require
-from a4agent.experts.intact import missing_files
+from a4agent.experts.checkpoint_files import missing_files
 from a4agent.files import read_package_toml
 
 PATTERNS = ["*.json", "*.safetensors", "*.txt", "*.jinja", "*.model"]

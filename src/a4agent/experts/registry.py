@@ -5,7 +5,7 @@ A provider is an entry point of the group `a4agent.experts` that names a factory
     [project.entry-points."a4agent.experts"]
     sam2 = "a4agent.experts.local.sam2:create"
 
-    def create(model: str, role: Role, *, dtype: str = "auto", ...) -> Expert
+    def create(model: str, role: Role, *, dtype: str = "auto", ...) -> Expert        or a class with this `__init__`
 
 The keyword-only parameters of the factory are the expert's settings; their names and defaults are
 all there is to know about them, so a misspelt one is an error that suggests the right one. Built-in
@@ -121,10 +121,18 @@ def create(spec: str, role: Role, settings: Mapping[str, Any] | None = None) -> 
             if name not in known:
                 raise UnknownNameError.of(f"setting of {spec!r}:", name, known)
     _check_values(spec, factory, values)
+    if isinstance(factory, type):
+        _check_role(spec, factory, role)
     expert = factory(model, role, **values)
-    if not callable(getattr(expert, VERBS[role], None)):
-        raise ConfigError(f"{spec!r} cannot be the {role}: it has no method {VERBS[role]!r}")
+    _check_role(spec, expert, role)
     return expert
+
+
+def _check_role(spec: str, expert: object, role: Role) -> None:
+    if callable(getattr(expert, VERBS[role], None)):
+        return
+    hint = "; 'vlm-grounding:' makes a VLM a detector" if role == "detector" and hasattr(expert, "chat") else ""
+    raise ConfigError(f"{spec!r} cannot be the {role}: it has no method {VERBS[role]!r}{hint}")
 
 
 def build(specs: Mapping[str, ExpertSettings]) -> dict[str, Expert]:

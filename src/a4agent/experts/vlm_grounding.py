@@ -130,34 +130,6 @@ def smart_resize(size_wh: tuple[int, int], *, factor: int, min_pixels: int, max_
     return whole_w, whole_h
 
 
-def create(
-    model: str,
-    role: Role,
-    *,
-    vlm: str | Mapping[str, Any] | VisionLanguageModel = "",
-    max_tokens: int = 0,
-) -> VlmDetector:
-    """A detector from a VLM.
-
-    Args:
-        model: the dialect's name.
-        role: must be "detector".
-        vlm: the VLM, as "provider:model" or a table {expert = "provider:model", SETTING = VALUE}; "" is the one
-            the dialect was written for.
-        max_tokens: the longest answer; 0 is the dialect's own limit.
-
-    Raises:
-        UnknownNameError: no such dialect.
-        ConfigError: the dialect has no VLM of its own and none is given.
-    """
-    if role != "detector":
-        raise ConfigError(f"'vlm-grounding:{model}' is a detector and cannot be the {role}")
-    dialect = _dialect(model)
-    if max_tokens < 0:
-        raise ConfigError(f"max_tokens is 0 (the dialect's own limit) or more, not {max_tokens!r}")
-    return VlmDetector(dialect, _build(dialect, vlm), max_tokens or dialect.max_tokens)
-
-
 def inner_experts(model: str, settings: Mapping[str, Any]) -> dict[Role, tuple[str, dict[str, Any]]]:
     """The VLM that a detector with these settings builds, as spec and settings; {} if it gets one that is built.
 
@@ -180,19 +152,38 @@ def _dialect(name: str) -> Dialect:
     return known[name]
 
 
-def _build(dialect: Dialect, vlm: str | Mapping[str, Any] | VisionLanguageModel) -> VisionLanguageModel:
-    if not isinstance(vlm, (str, Mapping)):
-        return vlm
-    inner = inner_experts(dialect.name, {"vlm": vlm})
-    if not inner:
-        raise ConfigError(f"'vlm-grounding:{dialect.name}' works with any VLM; say which: vlm = \"openai:gpt-4o\"")
-    return cast(VisionLanguageModel, registry.create(inner["vlm"][0], "vlm", inner["vlm"][1]))
-
-
 class VlmDetector(ExpertBase):
-    """A Detector that asks a VLM in a dialect. Boxes and points come in the order of the answer, without scores."""
+    """A detector that asks a VLM in a dialect. Boxes and points come in the order of the answer, without scores.
 
-    def __init__(self, dialect: Dialect, vlm: VisionLanguageModel, max_tokens: int) -> None:
+    Args:
+        model: the dialect's name.
+        role: "detector".
+        vlm: the VLM, as "provider:model" or a table {expert = "provider:model", SETTING = VALUE}; "" is the one
+            the dialect was written for.
+        max_tokens: the longest answer; 0 is the dialect's own limit.
+
+    Raises:
+        UnknownNameError: no such dialect.
+        ConfigError: the dialect has no VLM of its own and none is given.
+    """
+
+    def __init__(
+        self,
+        model: str,
+        role: Role,
+        *,
+        vlm: str | Mapping[str, Any] | VisionLanguageModel = "",
+        max_tokens: int = 0,
+    ) -> None:
+        dialect = _dialect(model)
+        if max_tokens < 0:
+            raise ConfigError(f"max_tokens must be 0 (the dialect's own limit) or more, not {max_tokens!r}")
+        max_tokens = max_tokens or dialect.max_tokens
+        if isinstance(vlm, (str, Mapping)):
+            inner = inner_experts(model, {"vlm": vlm})
+            if not inner:
+                raise ConfigError(f"'vlm-grounding:{model}' works with any VLM; name one: vlm = \"openai:gpt-4o\"")
+            vlm = cast(VisionLanguageModel, registry.create(inner["vlm"][0], "vlm", inner["vlm"][1]))
         rules = {name: rule for name, rule in vars(dialect).items() if name != "source"}  # which is for people
         settings = {**rules, "max_tokens": max_tokens, "vlm": dict(vlm.fingerprint())}
         super().__init__(
@@ -262,3 +253,6 @@ class VlmDetector(ExpertBase):
             text=answer.text,
             usage=answer.usage,
         )
+
+
+create = VlmDetector

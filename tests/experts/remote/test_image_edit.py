@@ -18,6 +18,7 @@ from a4agent.errors import (
     RefusedAnswer,
     UnreadableAnswer,
 )
+from a4agent.experts import registry
 from a4agent.experts.remote.image_edit import create
 from a4agent.protocols import EditAnswer, EditRequest
 from servers import Call, Reply, as_json, edited, error
@@ -126,7 +127,7 @@ def test_a_refused_key_stops_everything(openai_server):
 
 
 def test_bad_settings_are_answered():
-    with pytest.raises(ConfigError, match="editor"):
-        create("m", "vlm", base_url="http://127.0.0.1:9/v1")
+    with pytest.raises(ConfigError, match="'openai-images:m' cannot be the vlm"):
+        registry.create("openai-images:m", "vlm", {"base_url": "http://127.0.0.1:9/v1"})
     with pytest.raises(CredentialError, match="OPENAI_API_KEY"):
         create("gpt-image-2", "editor")

@@ -20,7 +20,7 @@ from typing import cast
 
 from a4agent.errors import ModelFilesError
 from a4agent.experts import hub
-from a4agent.experts.intact import missing_files
+from a4agent.experts.checkpoint_files import missing_files
 
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
 _BLOCK, _BLOCKS = 4096, 16

@@ -29,32 +29,19 @@ _REFUSING = (400, 422, 501)
 _STRUCTURE = ("type", "enum", "const", "$ref", "description")
 
 
-def create(
-    model: str,
-    role: Role,
-    *,
-    base_url: str = "",
-    server: str = "",
-    api_key_variable: str = "",
-    structured: str = "auto",
-    temperature: float | None = 0.0,
-    seed: int | None = None,
-    detail: str = "",
-    image_format: str = "jpeg",
-    max_side: int = 2048,
-    quality: int = 95,
-    text_first: bool = False,
-    timeout: float = 120.0,
-    max_retries: int = 2,
-    concurrency: int = 8,
-    price: Mapping[str, float] | None = None,
-    extra: Mapping[str, Any] | None = None,
-) -> OpenAIVLM:
+def last_day(model: str, settings: Mapping[str, Any]) -> str:
+    """The day (ISO) that the vendor announced for a model at its own server; "" if it announced none."""
+    elsewhere = settings.get("base_url") or settings.get("server") not in (None, "", "openai")
+    listed = None if elsewhere else price_of(model)
+    return listed.retires if listed else ""
+
+
+class OpenAIVLM(RemoteExpert):
     """A VLM over HTTP.
 
     Args:
         model: the name the server knows it by.
-        role: must be "vlm".
+        role: "vlm".
         base_url: the server's address with "/v1"; "" is the usual place of `server`, or OpenAI.
         server: a name from servers.toml (openai, vllm, sglang, ollama, llama.cpp, transformers, other).
         api_key_variable: the environment variable with the key, if not the server's usual one.
@@ -78,73 +65,56 @@ def create(
         CredentialError: the server needs a key and its variable is not set.
         MissingExtraError: the openai package is not installed.
     """
-    if role != "vlm":
-        raise ConfigError(f"'openai:{model}' is a vlm and cannot be the {role}; 'vlm-grounding:' makes it a detector")
-    connection = Connection(
-        model,
-        base_url=base_url,
-        server=server,
-        api_key_variable=api_key_variable,
-        timeout=timeout,
-        max_retries=max_retries,
-    )
-    rungs = connection.server.structured if structured == "auto" else (structured,)
-    if not set(rungs) <= {"json_schema", "json_object", "text"}:
-        raise ConfigError(f"structured = {structured!r}: write auto, json_schema, json_object or text")
-    return OpenAIVLM(
-        connection,
-        PictureEncoder(image_format, max_side, quality),
-        rungs=rungs,
-        optional={"temperature": temperature, "seed": seed},
-        detail=detail,
-        text_first=text_first,
-        concurrency=concurrency,
-        price=price,
-        extra=fields_from_setting(extra),
-    )
-
-
-def last_day(model: str, settings: Mapping[str, Any]) -> str:
-    """The day (ISO) that the vendor announced for a model at its own server; "" if it announced none."""
-    elsewhere = settings.get("base_url") or settings.get("server") not in (None, "", "openai")
-    listed = None if elsewhere else price_of(model)
-    return listed.retires if listed else ""
-
-
-class OpenAIVLM(RemoteExpert):
-    """A VisionLanguageModel over a `Connection`; `create` explains the settings."""
 
     def __init__(
         self,
-        connection: Connection,
-        encoder: PictureEncoder,
+        model: str,
+        role: Role,
         *,
-        rungs: Sequence[str],
-        optional: Mapping[str, Any],
-        detail: str,
-        text_first: bool,
-        concurrency: int,
-        price: Mapping[str, float] | None,
-        extra: Mapping[str, Any],
+        base_url: str = "",
+        server: str = "",
+        api_key_variable: str = "",
+        structured: str = "auto",
+        temperature: float | None = 0.0,
+        seed: int | None = None,
+        detail: str = "",
+        image_format: str = "jpeg",
+        max_side: int = 2048,
+        quality: int = 95,
+        text_first: bool = False,
+        timeout: float = 120.0,
+        max_retries: int = 2,
+        concurrency: int = 8,
+        price: Mapping[str, float] | None = None,
+        extra: Mapping[str, Any] | None = None,
     ) -> None:
+        connection = Connection(
+            model,
+            base_url=base_url,
+            server=server,
+            api_key_variable=api_key_variable,
+            timeout=timeout,
+            max_retries=max_retries,
+        )
+        self._rungs = tuple(connection.server.structured) if structured == "auto" else (structured,)
+        if not set(self._rungs) <= {"json_schema", "json_object", "text"}:
+            raise ConfigError(f"structured = {structured!r}: write auto, json_schema, json_object or text")
+        self._encoder = PictureEncoder(image_format, max_side, quality)
+        self._extra = fields_from_setting(extra)
+        optional = {"temperature": temperature, "seed": seed}
         settings = {
             "base_url": connection.base_url,
-            "structured": list(rungs),
+            "structured": list(self._rungs),
             **optional,
             "detail": detail,
             "text_first": text_first,
-            **encoder.settings,
-            "extra": dict(extra),
+            **self._encoder.settings,
+            "extra": self._extra,
         }
-        super().__init__(
-            f"openai:{connection.model}", connection, settings=settings, concurrency=concurrency, price=price
-        )
-        self._encoder = encoder
-        self._rungs = tuple(rungs)
+        super().__init__(f"openai:{model}", connection, settings=settings, concurrency=concurrency, price=price)
         self._optional = {name: value for name, value in optional.items() if value is not None}
         self._detail = {"detail": detail} if detail else {}
         self._text_first = text_first
-        self._extra = dict(extra)
         self._refused: set[str] = set()
         self._lock = threading.Lock()
 
@@ -157,9 +127,9 @@ class OpenAIVLM(RemoteExpert):
         while True:
             rung = self._rung(request)
             fields = self._fields(request, rung)
-            create = partial(_create_completion, messages=messages, **fields)
+            send = partial(_create_completion, messages=messages, **fields)
             try:
-                completion, sent = self._connection.call(create)
+                completion, sent = self._connection.call(send)
             except RequestRejected as error:
                 if not self._learn(error, rung, fields):
                     raise
@@ -221,6 +191,9 @@ class OpenAIVLM(RemoteExpert):
             finish_reason="length" if choice.finish_reason == "length" else "stop",
             usage=self._usage(completion, sent),
         )
+
+
+create = OpenAIVLM
 
 
 def _create_completion(client: Any, **fields: Any) -> Any:

@@ -15,7 +15,7 @@ import binascii
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from a4agent.errors import A4Error, ConfigError, InputError, UnreadableAnswer
+from a4agent.errors import A4Error, InputError, UnreadableAnswer
 from a4agent.experts.remote.base import RemoteExpert, fields_from_setting
 from a4agent.experts.remote.connection import Connection
 from a4agent.imaging.encode import PictureEncoder
@@ -26,27 +26,12 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 
-def create(
-    model: str,
-    role: Role,
-    *,
-    base_url: str = "",
-    server: str = "",
-    api_key_variable: str = "",
-    size: str = "",
-    quality: str = "",
-    extra: Mapping[str, Any] | None = None,
-    max_side: int = 2048,
-    timeout: float = 300.0,
-    max_retries: int = 2,
-    concurrency: int = 4,
-    price: Mapping[str, float] | None = None,
-) -> OpenAIEditor:
+class OpenAIEditor(RemoteExpert):
     """An image editor over HTTP.
 
     Args:
         model: the name the server knows it by.
-        role: must be "editor".
+        role: "editor".
         base_url: the server's address with "/v1"; "" is the usual place of `server`, or OpenAI.
         server: a name from servers.toml; says whether a seed may be sent.
         api_key_variable: the environment variable with the key, if not the server's usual one.
@@ -64,41 +49,37 @@ def create(
         CredentialError: the server needs a key and its variable is not set.
         MissingExtraError: the openai package is not installed.
     """
-    if role != "editor":
-        raise ConfigError(f"'openai-images:{model}' is an editor and cannot be the {role}")
-    connection = Connection(
-        model,
-        base_url=base_url,
-        server=server,
-        api_key_variable=api_key_variable,
-        timeout=timeout,
-        max_retries=max_retries,
-    )
-    wanted = {name: value for name, value in {"size": size, "quality": quality}.items() if value}
-    return OpenAIEditor(
-        connection, PictureEncoder("png", max_side), wanted, fields_from_setting(extra), concurrency, price
-    )
-
-
-class OpenAIEditor(RemoteExpert):
-    """An ImageEditor over a `Connection`; `create` explains the settings."""
 
     def __init__(
         self,
-        connection: Connection,
-        encoder: PictureEncoder,
-        wanted: Mapping[str, str],
-        extra: Mapping[str, Any],
-        concurrency: int,
-        price: Mapping[str, float] | None,
+        model: str,
+        role: Role,
+        *,
+        base_url: str = "",
+        server: str = "",
+        api_key_variable: str = "",
+        size: str = "",
+        quality: str = "",
+        extra: Mapping[str, Any] | None = None,
+        max_side: int = 2048,
+        timeout: float = 300.0,
+        max_retries: int = 2,
+        concurrency: int = 4,
+        price: Mapping[str, float] | None = None,
     ) -> None:
-        settings = {"base_url": connection.base_url, **wanted, "extra": dict(extra), **encoder.settings}
-        super().__init__(
-            f"openai-images:{connection.model}", connection, settings=settings, concurrency=concurrency, price=price
+        connection = Connection(
+            model,
+            base_url=base_url,
+            server=server,
+            api_key_variable=api_key_variable,
+            timeout=timeout,
+            max_retries=max_retries,
         )
-        self._encoder = encoder
-        self._wanted = dict(wanted)
-        self._extra = dict(extra)
+        self._encoder = PictureEncoder("png", max_side)
+        self._wanted = {name: value for name, value in {"size": size, "quality": quality}.items() if value}
+        self._extra = fields_from_setting(extra)
+        settings = {"base_url": connection.base_url, **self._wanted, "extra": self._extra, **self._encoder.settings}
+        super().__init__(f"openai-images:{model}", connection, settings=settings, concurrency=concurrency, price=price)
 
     def edit(self, requests: Sequence[EditRequest]) -> list[EditAnswer | A4Error]:
         """One call a request. Errors that every request would meet are raised, others are answers."""
@@ -130,10 +111,10 @@ class OpenAIEditor(RemoteExpert):
         encoded = getattr(data[0], "b64_json", None) if isinstance(data, list) and data else None
         if not isinstance(encoded, str) or not encoded:
             raise UnreadableAnswer(f"{self._connection} sent no picture (data[0].b64_json is missing)")
-        return self._decode(encoded)
-
-    def _decode(self, encoded: str) -> Image:
         try:
             return load_image(base64.b64decode(encoded, validate=True))
         except (binascii.Error, ValueError, InputError) as error:
             raise UnreadableAnswer(f"{self._connection} sent a picture that cannot be read: {error}") from error
+
+
+create = OpenAIEditor

@@ -53,27 +53,12 @@ _BOX = "<|box_start|>"
 _COMMA_ID = 11  # "," in the vocabulary of Qwen2.5
 
 
-def create(
-    model: str,
-    role: Role,
-    *,
-    served_model: str = "IDEA-Research/Rex-Omni",
-    server: str = "vllm",
-    api_key_variable: str = "",
-    points: bool = True,
-    image_format: str = "jpeg",
-    max_side: int = 2048,
-    quality: int = 95,
-    max_tokens: int = MAX_NEW_TOKENS,
-    timeout: float = 120.0,
-    max_retries: int = 2,
-    concurrency: int = 8,
-) -> RexOmniServer:
+class RexOmniServer(RemoteExpert):
     """Rex-Omni over HTTP.
 
     Args:
         model: the server's address with "/v1".
-        role: must be "detector".
+        role: "detector".
         served_model: the name the server knows the model by.
         server: a name from servers.toml.
         api_key_variable: the environment variable with the key, if the server wants one.
@@ -90,40 +75,41 @@ def create(
         ConfigError: the address or another setting does not fit.
         MissingExtraError: the openai package is not installed.
     """
-    if role != "detector":
-        raise ConfigError(f"'rex-omni-server:{model}' is a detector and cannot be the {role}")
-    if not model:
-        raise ConfigError("write the server's address after the colon: 'rex-omni-server:http://127.0.0.1:8000/v1'")
-    if max_tokens < 1:
-        raise ConfigError(f"max_tokens must be at least 1, not {max_tokens!r}")
-    connection = Connection(
-        served_model,
-        base_url=model,
-        server=server,
-        api_key_variable=api_key_variable,
-        timeout=timeout,
-        max_retries=max_retries,
-    )
-    return RexOmniServer(
-        connection,
-        PictureEncoder(image_format, max_side, quality),
-        points=points,
-        max_tokens=max_tokens,
-        concurrency=concurrency,
-    )
-
-
-class RexOmniServer(RemoteExpert):
-    """A Detector over a `Connection`; `create` explains the settings."""
 
     def __init__(
-        self, connection: Connection, encoder: PictureEncoder, *, points: bool, max_tokens: int, concurrency: int
+        self,
+        model: str,
+        role: Role,
+        *,
+        served_model: str = "IDEA-Research/Rex-Omni",
+        server: str = "vllm",
+        api_key_variable: str = "",
+        points: bool = True,
+        image_format: str = "jpeg",
+        max_side: int = 2048,
+        quality: int = 95,
+        max_tokens: int = MAX_NEW_TOKENS,
+        timeout: float = 120.0,
+        max_retries: int = 2,
+        concurrency: int = 8,
     ) -> None:
-        settings = {"model": connection.model, "points": points, "max_tokens": max_tokens, **encoder.settings}
+        if not model:
+            raise ConfigError("write the server's address after the colon: 'rex-omni-server:http://127.0.0.1:8000/v1'")
+        if max_tokens < 1:
+            raise ConfigError(f"max_tokens must be at least 1, not {max_tokens!r}")
+        connection = Connection(
+            served_model,
+            base_url=model,
+            server=server,
+            api_key_variable=api_key_variable,
+            timeout=timeout,
+            max_retries=max_retries,
+        )
+        self._encoder = PictureEncoder(image_format, max_side, quality)
+        settings = {"model": served_model, "points": points, "max_tokens": max_tokens, **self._encoder.settings}
         address = f"rex-omni-server:{connection.base_url}"
         free = {"input": 0.0, "output": 0.0}  # a server of your own
         super().__init__(address, connection, settings=settings, concurrency=concurrency, price=free)
-        self._encoder = encoder
         self._points = points
         self._max_tokens = max_tokens
 
@@ -196,3 +182,6 @@ def _sum(one: Usage, two: Usage) -> Usage:
         cost=0.0,
         request_id=" ".join(filter(None, (one.request_id, two.request_id))),
     )
+
+
+create = RexOmniServer

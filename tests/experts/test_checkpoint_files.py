@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from a4agent.experts.intact import damage_in
+from a4agent.experts.checkpoint_files import damage_in
 from fake_hub import safetensors
 
 WEIGHTS = safetensors(100)
