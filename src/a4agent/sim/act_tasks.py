@@ -6,7 +6,11 @@ how its joint starts (`reset_model`) and when it counts as done (`success`, from
 is `metaworld/envs/sawyer_<source>_v3.py` of metaworld 3.1.1, by Farama Foundation, MIT.
 
 A skill is what a robot knows of the verb in the sentence, not of the scene: waypoints of its fingertips relative to
-the contact point, in the world's frame (x right, y away from the robot, z up), with closed fingers.
+the contact point, in the world's frame (x right, y away from the robot, z up). The fingers are closed, or close at
+one waypoint: along y, and no wider than ten centimetres.
+
+Where a task has a second place that no contact tells (the box of `box_close`, the nail of `hammer`), what counts is
+the environment's own word for a thing that is picked up (`pickCompleted`).
 """
 
 from __future__ import annotations
@@ -23,13 +27,17 @@ TARGET_RADIUS = 0.05
 Waypoint = tuple[float, float, float]
 Success = Callable[[Any, Any, np.ndarray], bool]
 """(model, data, where the thing was put (3,)) -> whether the environment counts the task as done."""
+Placement = Callable[[Any, Any, np.ndarray], None]
+"""(model, data, where the thing is to be put (3,)): puts it there."""
 
 
 @dataclass(frozen=True)
 class ActTask:
     """One task. `part` are the names of geoms or meshes of the true part, `thing` the body of the whole object.
 
-    `start` is the joint's first position (None: as in the file), `joint` the index in qpos that it sets.
+    `place` puts the thing down (None: moves its body), `start` is the joint's first position (None: as in the file).
+    With `grasp` the fingers are open up to the waypoint of this number, close there and stay closed; without it they
+    are closed all the time.
     """
 
     name: str
@@ -44,8 +52,9 @@ class ActTask:
     object_part: str
     waypoints: tuple[Waypoint, ...]
     success: Success
+    place: Placement | None = None
     start: float | None = None
-    joint: int = 9
+    grasp: int | None = None
 
 
 def _xyz(x: float, y: float, z: float) -> np.ndarray:
@@ -62,6 +71,30 @@ def _drawer(data: Any) -> np.ndarray:
 
 def _site(data: Any, name: str) -> np.ndarray:
     return np.asarray(data.site(name).xpos)
+
+
+def _put_free(joint: int = 9) -> Placement:
+    """A thing with a free joint, whose position is in qpos from `joint` on."""
+
+    def put(model: Any, data: Any, at: np.ndarray) -> None:
+        data.qpos[joint : joint + 3] = at
+
+    return put
+
+
+def _put_ring(model: Any, data: Any, at: np.ndarray) -> None:
+    model.body("peg").pos = at + _xyz(0, 0, 0.03)
+    data.qpos[9:12] = at
+
+
+def _put_plug(model: Any, data: Any, at: np.ndarray) -> None:
+    model.body("box").pos = at
+    data.qpos[9:12] = at + _xyz(0.044, 0, 0.131)
+
+
+def _put_coffee_machine(model: Any, data: Any, at: np.ndarray) -> None:
+    model.body("coffee_machine").pos = at
+    data.qpos[0:3] = at + _xyz(0, -0.22, 0)  # the mug below the spout
 
 
 TASKS = (
@@ -195,6 +228,7 @@ TASKS = (
         object_part="the button of the coffee machine",
         waypoints=((0, -0.1, 0), (0, 0.1, 0)),
         success=lambda m, d, at: abs(at[1] - 0.19 - _site(d, "buttonStart")[1]) <= 0.02,
+        place=_put_coffee_machine,
     ),
     ActTask(
         name="faucet-open",
@@ -252,6 +286,86 @@ TASKS = (
         object_part="the lock of the safe",
         waypoints=((-0.01, -0.01, 0.12), (-0.01, -0.01, -0.06), (-0.05, -0.01, -0.15)),
         success=lambda m, d, at: abs(float(d.body("lock_link").xpos[2]) - 0.1 - _site(d, "lockStartLock")[2]) <= 0.02,
+    ),
+    ActTask(
+        name="handle-pull",
+        source="handle_pull",
+        model="sawyer_handle_press.xml",
+        thing="box",
+        part=("handle_press_grip",),
+        low=(-0.1, 0.8, -0.001),
+        high=(0.1, 0.9, 0.001),
+        sentences=("Pull the red handle up.", "Pull the lever up by its grip."),
+        object_name="press",
+        object_part="the handle of the press",
+        waypoints=((-0.066, 0.015, 0.12), *((-0.066, 0.015, -0.06 + 0.013 * i) for i in range(14))),
+        success=lambda m, d, at: abs(_site(d, "handleRight")[2] - _site(d, "goalPull")[2]) <= TARGET_RADIUS,
+        start=-0.1,
+        grasp=1,
+    ),
+    ActTask(
+        name="lid-lift",
+        source="box_close",
+        model="sawyer_box.xml",
+        thing="boxbodytop",
+        part=("BoxHandleGeom",),
+        low=(-0.05, 0.5, 0.02),
+        high=(0.05, 0.55, 0.02),
+        sentences=("Lift the lid.", "Pick up the lid by its handle."),
+        object_name="lid",
+        object_part="the handle of the lid",
+        waypoints=((0, 0, 0.12), (0, 0, -0.03), (0, 0, 0.4)),
+        success=lambda m, d, at: float(d.body("top_link").xpos[2]) >= at[2] + 0.157 + 0.12 - 0.01,
+        place=_put_free(),
+        grasp=1,
+    ),
+    ActTask(
+        name="hammer-lift",
+        source="hammer",
+        model="sawyer_hammer.xml",
+        thing="hammerbody",
+        part=("HammerHandle",),
+        low=(-0.1, 0.4, 0.0),
+        high=(0.1, 0.5, 0.0),
+        sentences=("Pick up the hammer.", "Pick the hammer up by its handle."),
+        object_name="hammer",
+        object_part="the handle of the hammer",
+        waypoints=((0, 0.015, 0.12), (0, 0.015, -0.06), (0, 0.015, 0.2)),
+        success=lambda m, d, at: float(d.body("hammer").xpos[2]) >= at[2] + 0.09 - 0.01,
+        place=_put_free(),
+        grasp=1,
+    ),
+    ActTask(
+        name="ring-lift",
+        source="disassemble_peg",
+        model="sawyer_assembly_peg.xml",
+        thing="RoundNut",
+        part=("WrenchHandle",),
+        low=(0.0, 0.6, 0.025),
+        high=(0.1, 0.75, 0.02501),
+        sentences=("Lift the ring off the peg.", "Take the ring off the peg by its green handle."),
+        object_name="ring",
+        object_part="the handle of the ring",
+        waypoints=((0, 0.015, 0.12), (0, 0.015, -0.06), (0, 0.015, 0.35)),
+        success=lambda m, d, at: _site(d, "RoundNut-8")[2] > at[2] + 0.15,
+        place=_put_ring,
+        grasp=1,
+    ),
+    ActTask(
+        name="plug-pull",
+        source="peg_unplug_side",
+        model="sawyer_peg_unplug_side.xml",
+        thing="plug1",
+        part=("plug:plug_black",),
+        low=(-0.25, 0.6, -0.001),
+        high=(-0.15, 0.8, 0.001),
+        sentences=("Unplug it.", "Pull the plug out of the socket by its grip."),
+        object_name="plug",
+        object_part="the grip of the plug",
+        waypoints=((-0.03, 0.035, 0.12), (-0.03, 0.035, -0.04), (0.3, 0.035, -0.04)),
+        success=lambda m, d, at: _norm(_site(d, "pegEnd") - (at + _xyz(0.194, 0, 0.131))) <= 0.07,
+        place=_put_plug,
+        grasp=1,
     ),
 )
 """All tasks, in the order in which they are asked."""

@@ -31,9 +31,15 @@ FOVY = 45.0
 FRAME_SKIP, MOST_STEPS, STEP, GAIN = 5, 500, 0.01, 10.0
 WORKSPACE = np.array([[-0.5, 0.4, 0.05], [0.5, 1.0, 0.5]])
 """Where the hand may go: `hand_low` and `hand_high` of the environments."""
+REACH = WORKSPACE - np.array([0.0, 0.0, 0.05])
+"""Where its fingertips may go: they are five centimetres below."""
 REST = np.array([0.0, 0.45, 0.42])
 CLOSE_ENOUGH = 0.012
-FRAME_EVERY = 40
+FRAME_EVERY = 8
+SETTLE, CLOSING = 20, 25
+"""Steps in which a loose thing comes to rest, and in which the fingers close."""
+FIRST_JOINT = 9
+"""Where the thing's joint is in qpos: behind the arm's seven and the fingers' two."""
 PATIENCE = 25
 """Steps without coming nearer after which a waypoint counts as reached: something is in the way."""
 
@@ -91,14 +97,17 @@ class Trial:
         """Put the thing in its place and the hand at rest."""
         model, data = self.model, self.data
         mujoco().mj_resetData(model, data)
-        model.body(self.task.thing).pos = self.at
         self._move_hand(REST, -1.0, 50)
-        if self.task.model == "sawyer_coffee.xml":  # `reset_model` stands the mug below the spout
-            data.qpos[0:3] = self.at + np.array([0.0, -0.22, 0.0])
+        if self.task.place:
+            self.task.place(model, data, self.at)
+        else:
+            model.body(self.task.thing).pos = self.at
         if self.task.start is not None:
-            data.qpos[self.task.joint] = self.task.start
-            data.qvel[self.task.joint] = 0
+            data.qpos[FIRST_JOINT] = self.task.start
+            data.qvel[FIRST_JOINT] = 0
         mujoco().mj_forward(model, data)
+        if self.task.grasp is not None:
+            self._move_hand(REST, -1.0, SETTLE)
 
     @property
     def done(self) -> bool:
@@ -141,16 +150,19 @@ class Trial:
 
     def _act(self, contact_xyz: np.ndarray, on_step: Callable[[], None] | None) -> Outcome:
         steps = 0
-        for offset in self.task.waypoints:
-            target = np.clip(contact_xyz + np.array(offset), *WORKSPACE)
-            nearest, waited = np.inf, 0
+        grasp = -1 if self.task.grasp is None else self.task.grasp
+        for number, offset in enumerate(self.task.waypoints):
+            target = np.clip(contact_xyz + np.array(offset), *REACH)
+            nearest, waited, closing = np.inf, 0, 0
             while steps < MOST_STEPS:
                 away = target - self._fingertips()
                 distance = float(np.linalg.norm(away))
-                if distance < CLOSE_ENOUGH or waited > PATIENCE:
-                    break
+                if distance < CLOSE_ENOUGH or waited > PATIENCE or closing:
+                    closing += 1
+                    if number != grasp or closing > CLOSING:
+                        break
                 nearest, waited = (distance, 0) if distance < nearest - 0.001 else (nearest, waited + 1)
-                self._step_hand(away)
+                self._step_hand(away, 1.0 if number > grasp or closing else -1.0)
                 steps += 1
                 if on_step and steps % FRAME_EVERY == 0:
                     on_step()
@@ -215,9 +227,9 @@ class Trial:
             if model.eq_type[i] == mujoco().mjtEq.mjEQ_WELD:
                 model.eq_data[i, :11] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 5.0]
 
-    def _step_hand(self, away: np.ndarray) -> None:
+    def _step_hand(self, away: np.ndarray, closed: float) -> None:
         move = np.clip(GAIN * away, -1, 1) * STEP
-        self._move_hand(np.clip(self.data.mocap_pos[0] + move, *WORKSPACE), 1.0, 1)
+        self._move_hand(np.clip(self.data.mocap_pos[0] + move, *WORKSPACE), closed, 1)
 
     def _move_hand(self, position: np.ndarray, closed: float, steps: int) -> None:
         for _ in range(steps):
