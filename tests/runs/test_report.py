@@ -36,6 +36,9 @@ from a4agent.runs.report import (
     write_comparison,
     write_report,
 )
+from a4agent.runs.report import (
+    _samples as samples_of,
+)
 from a4agent.runs.store import Record, Run
 from a4agent.runs.trust import with_accept
 
@@ -432,3 +435,28 @@ def test_a_comparison_shows_both_masks_of_what_crossed(bench: MakeBench, page: A
 def test_two_runs_of_one_label_are_told_by_their_folders(bench: MakeBench) -> None:
     pair = compare(bench("a").run(pictures.agent()), bench("b").run(pictures.agent(shift=9)))
     assert "<title>a and b on folder</title>" in render_comparison(pair)
+
+
+def test_what_an_answer_led_to_is_shown_in_frames_and_as_an_animation(bench: MakeBench) -> None:
+    seen = [Image.new("RGB", (24, 16), colour) for colour in ("red", "green", "blue", "white", "black")]
+    benchmark = replace(bench().benchmark, frames=lambda sample: seen)
+    run = bench("acted", benchmark=benchmark, selection=Selection(2)).run(pictures.agent())
+    strip = run.folder / next(iter(run.records.values())).pictures["frames"]
+    with Image.open(strip) as image:
+        assert image.size == (4 * 24, 16)
+    found, embedded = samples_of(run, run.records.values(), 640)
+    assert len({sample["animation"] for sample in found}) == 1
+    animation = base64.b64decode(embedded[found[0]["animation"]])
+    with Image.open(io.BytesIO(animation)) as image:
+        assert getattr(image, "n_frames", 1) == 5
+    assert found[0]["frames"] in embedded
+
+
+def test_a_damaged_or_huge_animation_is_left_out(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = run.folder / "images" / "a.webp"
+    path.write_bytes(b"not a picture")
+    assert _embedded(run.folder, "images/a.webp", 640) == ""
+    Image.new("RGB", (8, 8)).save(path)
+    assert _embedded(run.folder, "images/a.webp", 640)
+    monkeypatch.setattr("a4agent.runs.report.LARGEST_ANIMATION", 8)
+    assert _embedded(run.folder, "images/a.webp", 640) == ""

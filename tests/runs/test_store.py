@@ -174,6 +174,16 @@ def test_pictures_are_kept_once_and_small(tmp_path: Path) -> None:
         assert len(list((run.folder / "images").iterdir())) == 2
 
 
+def test_an_animation_keeps_every_frame(tmp_path: Path) -> None:
+    frames = [Image.new("RGB", (24, 16), colour) for colour in ("red", "green", "blue")]
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        name = run.add_animation(frames)
+        assert run.add_animation([frame.copy() for frame in frames]) == name
+        assert run.add_animation(frames[:1]) != name
+        with Image.open(run.folder / name) as kept:
+            assert (kept.size, getattr(kept, "n_frames", 1)) == ((24, 16), 3)
+
+
 def test_writing_atomically_keeps_the_old_content_on_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "scores.json"
     write_atomically(path, b"old")

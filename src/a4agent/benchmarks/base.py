@@ -11,7 +11,7 @@ reference answers and categories live in `sample.truth`, which nothing below the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -90,7 +90,7 @@ class Benchmark:
     protocol: how it is scored by default; published_protocol: how its authors' code scores it.
     expected: the published number of samples, None if there is no such number.
     measure: further measures of one answer, by name, where the field has other ones than masks; means are printed.
-    frames: a strip of pictures of what an answer led to, asked for after `measure` of the same sample; None if none.
+    frames: pictures of one size of what an answer led to, asked for after `measure` of the same sample; none if none.
     """
 
     name: str
@@ -106,7 +106,7 @@ class Benchmark:
     published_protocol: str = "strict"
     expected: int | None = None
     measure: Callable[[Sample, Affordance], Mapping[str, float]] | None = field(default=None, repr=False)
-    frames: Callable[[Sample], Image | None] | None = field(default=None, repr=False)
+    frames: Callable[[Sample], Sequence[Image]] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return self.size

@@ -10,11 +10,11 @@ The agent sees queries only; the truth stays here.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -29,6 +29,9 @@ from a4agent.runs.manifest import Manifest, prompt_hashes, settings_identity, se
 from a4agent.runs.oracle import Oracle, given_of
 from a4agent.runs.store import Record, Run, RunWriter, read_run
 from a4agent.types import Affordance, Given, Query, Status, finite_or_none
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 RUNS = Path("runs")
 ENGINES = Plugins("a4agent.engines", "engine", "'local' runs in this process.")
@@ -255,8 +258,10 @@ def row_of(
     if benchmark.measure:
         measures |= benchmark.measure(sample, affordance)
     imagined = affordance.imagination.image if affordance.imagination else None
-    frames = benchmark.frames(sample) if benchmark.frames else None
-    pictures = {"original": affordance.image, "imagination": imagined, "frames": frames}
+    pictures = {"original": affordance.image, "imagination": imagined}
+    names = {kind: writer.add_picture(image) for kind, image in pictures.items() if image is not None}
+    if benchmark.frames and (frames := benchmark.frames(sample)):
+        names |= {"frames": writer.add_picture(strip(frames)), "animation": writer.add_animation(frames)}
     answer = replace(affordance, id=sample.id).to_dict()
     for region in answer["regions"]:
         region["score"] = finite_or_none(region["score"])
@@ -272,5 +277,17 @@ def row_of(
         "truth": encode_rle(truths[best]),
         "category": sample.truth.category,
         "tags": dict(sample.truth.tags),
-        "pictures": {kind: writer.add_picture(image) for kind, image in pictures.items() if image is not None},
+        "pictures": names,
     }
+
+
+def strip(frames: Sequence[Image]) -> Image:
+    """The first, the last and two frames between them, side by side."""
+    from PIL import Image as Images
+
+    chosen = [frames[round(i * (len(frames) - 1) / 3)] for i in range(4)]
+    width, height = chosen[0].size
+    joined = Images.new("RGB", (4 * width, height))
+    for place, frame in enumerate(chosen):
+        joined.paste(frame, (place * width, 0))
+    return joined

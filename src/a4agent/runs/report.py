@@ -32,6 +32,7 @@ from a4agent.runs.store import PICTURE_SIDE, STATUSES, Record, Run, write_atomic
 from a4agent.runs.tables import group_of
 
 LONGEST_ANSWER = 4000
+LARGEST_ANIMATION = 1_000_000
 
 
 def write_report(run: Run, path: Path | None = None) -> Path:
@@ -184,6 +185,7 @@ def _sample(record: Record, side: int, pictures: Mapping[str, str]) -> dict[str,
         "original": names.get("original"),
         "imagination": names.get("imagination"),
         "frames": names.get("frames"),
+        "animation": names.get("animation"),
         "error": row["error"] or "",
         "confidence": row.get("confidence"),
         "checks": row.get("checks") or [],
@@ -213,12 +215,19 @@ def small_mask(mask: Mapping[str, Any], view: tuple[int, int]) -> list[int]:
 
 
 def _embedded(folder: Path, name: str, side: int) -> str:
-    """A picture of the run in base64; "" if its file is missing, damaged, too large or outside the run's folder."""
+    """A picture of the run in base64; "" if its file is missing, damaged, too large or outside the run's folder.
+
+    An animation (WebP) is embedded as it is, anything else is scaled down.
+    """
     from PIL import Image
 
+    path = folder / name
     try:
-        image = load_image(folder / name, max_pixels=PICTURE_SIDE**2, inside=folder)
-    except InputError:
+        image = load_image(path, max_pixels=PICTURE_SIDE**2, inside=folder)
+        if path.suffix == ".webp":
+            kept = path.read_bytes() if path.stat().st_size <= LARGEST_ANIMATION else b""
+            return base64.b64encode(kept).decode("ascii")
+    except (InputError, OSError):
         return ""
     image.thumbnail((side, side), Image.Resampling.HAMMING)
     buffer = io.BytesIO()

@@ -4,6 +4,7 @@
       manifest.json      the configuration; a folder never changes it (see manifest.py)
       samples.jsonl      one line per scored sample, on disk before the next one is scored
       images/4be1….jpg   the pictures of the samples, named by the hash of their pixels, scaled down for display
+      images/90c3….webp  what an answer led to, as an animation, where a benchmark acts on answers
       scores.json        the scores when the last session ended; computed from samples.jsonl, safe to delete
       lock               held while a process writes
 
@@ -22,12 +23,13 @@ by readers and cut off by the next writer.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import os
 import socket
 import sys
-from collections.abc import Generator, Iterable, Mapping
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -301,6 +303,17 @@ class RunWriter:
             small.thumbnail((PICTURE_SIDE, PICTURE_SIDE), Images.Resampling.LANCZOS, reducing_gap=2.0)
             buffer = io.BytesIO()
             small.save(buffer, "JPEG", quality=85)
+            write_atomically(path, buffer.getvalue())
+        return name
+
+    def add_animation(self, frames: Sequence[Image]) -> str:
+        """Keep frames of one size as an animated WebP, five a second; returns its path below the folder."""
+        name = f"images/{hashlib.sha256(''.join(image_hash(frame) for frame in frames).encode()).hexdigest()[:20]}.webp"
+        path = self.folder / name
+        if not path.exists():
+            buffer = io.BytesIO()
+            first, *others = frames
+            first.save(buffer, "WEBP", save_all=True, append_images=others, duration=200, loop=0, quality=50, method=2)
             write_atomically(path, buffer.getvalue())
         return name
 

@@ -119,10 +119,10 @@ function show(place) {
   }
   pane(result, sample.part ? `found: ${sample.part}` : "found");
   const aspect = sample.view[0] / sample.view[1];
-  if (sample.frames) {
+  for (const name of [sample.frames, sample.animation].filter(Boolean)) {
     const image = new Image();
-    image.src = address(sample.frames);
-    image.alt = "what happened, in frames";
+    image.src = address(name);
+    image.alt = name === sample.frames ? "what happened, in frames" : "what happened, as an animation";
     pane(image, "what happened");
   }
   if (closeUp(sample, aspect)[2] < .6 * sample.view[0]) {
