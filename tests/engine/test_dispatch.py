@@ -13,7 +13,15 @@ from PIL import Image
 from a4agent.engine.dispatch import PREPARED_AHEAD, Dispatcher, QueuedRequest
 from a4agent.engine.retry import Breaker
 from a4agent.engine.stats import ExpertStats
-from a4agent.errors import A4Error, OutOfMemory, ProviderError, ProviderTimeout, ProviderUnavailable, RequestRejected
+from a4agent.errors import (
+    A4Error,
+    CredentialError,
+    OutOfMemory,
+    ProviderError,
+    ProviderTimeout,
+    ProviderUnavailable,
+    RequestRejected,
+)
 from a4agent.protocols import Answer, DetectRequest, Expert, ExpertBase, Segmentation, SegmentRequest
 from a4agent.testing import ScriptedDetector
 
@@ -303,3 +311,20 @@ def test_closed_it_fails_what_comes_or_is_held_back(make: Make) -> None:
         assert isinstance(outcome, ProviderError)
         assert "stopped" in str(outcome)
     assert len(detector.requests) == 10
+
+
+def test_closing_ends_every_idle_thread(make: Make) -> None:
+    dispatcher = make(ScriptedDetector(id="closing:detector", concurrency=3, seconds=0.05))
+    ask(dispatcher, *"abc")
+    until(lambda: dispatcher._idle == 3)
+    dispatcher.close()
+    until(lambda: not any(thread.name == "a4 closing:detector" for thread in threading.enumerate()))
+
+
+def test_nothing_is_sent_to_an_expert_that_was_given_up(make: Make) -> None:
+    detector = ScriptedDetector()
+    dispatcher = make(detector)
+    dispatcher.breaker.give_up(CredentialError("refused"))
+    (answer,) = ask(dispatcher, "a")
+    assert isinstance(answer, CredentialError)
+    assert not detector.requests

@@ -189,3 +189,60 @@ def test_the_pace_returns_quickly_to_nine_tenths_of_the_limit_and_slowly_from_th
         pace.succeeded()
         rounds += 1
     assert rounds > 140  # one more in five rounds
+
+
+def test_the_shortest_wait_is_the_one_that_was_set() -> None:
+    assert backoff(1, 0.001, ProviderUnavailable("down"), 120.0) <= 0.001
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    now = [100.0]
+    monkeypatch.setattr("a4agent.engine.retry.time.monotonic", lambda: now[0])
+    return now
+
+
+def waits_until(breaker: Breaker, clock: list[float]) -> float:
+    """The first full second from now at which a call may be made; the breaker must raise instead of waiting."""
+    for seconds in range(100):
+        with suppress(ProviderError):
+            breaker.enter()
+            return float(seconds)
+        clock[0] += 1.0
+    raise AssertionError("no call was let through")
+
+
+def test_a_call_under_way_when_the_expert_went_down_lengthens_no_pause(clock: list[float]) -> None:
+    breaker = Breaker("x", pause=8.0)
+    trip(breaker)
+    clock[0] += 5.0
+    breaker.failed(ProviderUnavailable("down"))
+    breaker.end_waits(ProviderError("would wait"))
+    assert waits_until(breaker, clock) == 3.0
+
+
+def test_pauses_double_up_to_the_longest_and_start_anew_after_an_answer(clock: list[float]) -> None:
+    breaker = Breaker("x", pause=8.0, outage_seconds=1000.0)
+    breaker.end_waits(ProviderError("would wait"))
+    trip(breaker)
+    pauses: list[float] = []
+    for _ in range(4):
+        pauses.append(waits_until(breaker, clock))
+        breaker.failed(ProviderUnavailable("down"))
+    assert pauses == [8.0, 16.0, LONGEST_WAIT, LONGEST_WAIT]
+    assert waits_until(breaker, clock) == LONGEST_WAIT
+    breaker.succeeded()
+    trip(breaker)
+    assert waits_until(breaker, clock) == 8.0
+
+
+def test_an_outage_is_measured_from_the_failure_that_began_it(clock: list[float]) -> None:
+    breaker = Breaker("x", pause=8.0, outage_seconds=24.0)
+    breaker.end_waits(ProviderError("would wait"))
+    trip(breaker)
+    waits_until(breaker, clock)
+    breaker.failed(ProviderUnavailable("down"))  # after 8 s
+    waits_until(breaker, clock)
+    breaker.failed(ProviderUnavailable("down"))  # after 24 s
+    with pytest.raises(ProviderError, match=r"x has failed 12 times in a row for 24 s"):
+        breaker.enter()

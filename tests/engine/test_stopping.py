@@ -134,6 +134,31 @@ def test_a_sample_that_would_end_late_does_not_start() -> None:
         budget.start()
 
 
+def test_a_sample_starts_up_to_the_last_second_and_none_that_waited_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr("a4agent.engine.stopping.time.monotonic", lambda: clock[0])
+    budget = Budget(max_cost=1.0, max_seconds=10.0)
+    clock[0] = 10.0
+    for _ in range(UNTIL_PRICED):
+        budget.start()
+    refused: list[BudgetExceeded] = []
+
+    def wait_and_start() -> None:
+        try:
+            budget.start()
+        except BudgetExceeded as error:
+            refused.append(error)
+
+    waiting = threading.Thread(target=wait_and_start, daemon=True)
+    waiting.start()
+    while not budget._changed._waiters:  # type: ignore[attr-defined]
+        time.sleep(0.002)
+    clock[0] = 10.1
+    budget.finish(cost(0.1), 0.0)
+    waiting.join(5.0)
+    assert "max_seconds = 10" in str(refused[0])
+
+
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 
 

@@ -159,3 +159,10 @@ def test_a_box_takes_all_the_points_it_holds() -> None:
 
 def test_a_single_box_takes_the_points_outside_it_too() -> None:
     assert pair_by_holder(np.array([[0, 0, 10, 10]]), np.array([[5, 5], [30, 30]])) == [(0, [0, 1])]
+
+
+def test_points_on_the_right_and_bottom_edges_are_moved_just_inside() -> None:
+    points = np.array([[64, 48], [0, 0], [64.1, 5], [5, -0.1], [np.nan, 5]])
+    clean, kept = clean_points(points, SIZE)
+    assert kept.tolist() == [0, 1]
+    assert clean.astype(int).tolist() == [[63, 47], [0, 0]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -223,3 +224,23 @@ def test_a_box_without_a_mask_does_not_fit() -> None:
     blank = region(np.zeros((60, 80), bool), box=[0, 0, 9, 9])
     seen = Evidence(Affordance("x", (80, 60), regions=(blank,), image=PHOTO), evidence().spotter, Recorder())
     assert {c.name: c.value for c in MaskGeometry().measure(seen)}["mask_in_box"] == 0.0
+
+
+@pytest.mark.parametrize(("rows", "value"), [(60, 0.0), (48, 0.5), (36, 1.0), (18, 1.0)])
+def test_a_mask_of_most_of_the_picture_is_implausible(rows: int, value: float) -> None:
+    mask = np.zeros((60, 80), bool)
+    mask[:rows] = True
+    answer = Affordance("x", (80, 60), regions=(region(mask),), image=PHOTO)
+    checks = MaskGeometry().measure(Evidence(answer, evidence().spotter, Recorder()))
+    assert checks[-1].value == pytest.approx(value)
+
+
+def test_the_second_retry_looks_at_a_crop_with_the_masks_own_size_around_it() -> None:
+    seen = evidence()
+    detector = ScriptedDetector()
+    locate_differently(replace(seen.spotter, detector=detector), seen.affordance, Recorder(), 2)
+    frame = crop_around(seen.affordance.mask, margin=1.0)
+    assert frame is not None
+    x0, y0, x1, y1 = frame
+    assert detector.requests[0].image.size == (x1 - x0, y1 - y0)
+    assert frame != crop_around(seen.affordance.mask, margin=2.0)
