@@ -1,4 +1,4 @@
-"""For all tests: no network beyond loopback, no key, no settings of the person who runs them."""
+"""For all tests: no network beyond loopback, no key, no settings of the person who runs them, no time limits."""
 
 from __future__ import annotations
 
@@ -17,12 +17,16 @@ os.environ["GRADIO_ANALYTICS_ENABLED"] = "False"
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell ignores it for a suite that it starts with `&`
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+import hypothesis
 import pytest
 
 # `--import-mode=importlib` leaves sys.path alone; the modules that tests share (servers.py) lie beside this file.
 sys.path.insert(0, str(Path(__file__).parent))
 
 from servers import FaultyServer
+
+hypothesis.settings.register_profile("a4agent", deadline=None)  # a busy machine is not a failure
+hypothesis.settings.load_profile("a4agent")
 
 _connect = socket.socket.connect
 
