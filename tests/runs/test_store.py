@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import socket
 import subprocess
 import sys
 import uuid
@@ -23,7 +24,7 @@ from a4agent.errors import ConfigError, DataError
 from a4agent.imaging.masks import encode_rle
 from a4agent.runs import store
 from a4agent.runs.manifest import Manifest
-from a4agent.runs.store import Record, RunWriter, hold, read_run, write_atomically
+from a4agent.runs.store import Record, Run, RunWriter, hold, read_run, write_atomically
 from a4agent.types import Affordance, Status
 
 
@@ -290,3 +291,80 @@ def test_a_killed_holder_holds_nothing(tmp_path: Path) -> None:
         other.kill()
     with hold(path):
         assert str(other.pid) not in path.read_text()
+
+
+def test_a_record_sums_what_its_calls_took() -> None:
+    calls = [
+        {"seconds": 1.5, "cost": 0.25, "cached": False},
+        {"seconds": 2.0, "cost": 4.0, "cached": True},
+        {"seconds": None, "cost": None, "cached": False},
+        {"seconds": 0.5, "cost": 0.5, "cached": False},
+    ]
+    record = Record({"trace": calls})
+    assert (record.seconds, record.cost) == (4.0, 0.75)
+    assert (record.confidence, record.measures, record.category, record.tags) == (None, {}, "", {})
+    groups = {"measures": {"contact": None}, "category": "mug", "tags": {"size": "small"}, "confidence": 0.0}
+    record = Record(groups)
+    assert {name: getattr(record, name) for name in groups} == groups
+
+
+def test_a_record_gives_back_its_answer() -> None:
+    answer = Record(row("a")).affordance
+    assert (answer.id, answer.instruction, answer.size_wh, answer.status) == ("a", "touch", (2, 2), "ok")
+
+
+def test_the_metrics_get_all_counts_of_a_record() -> None:
+    counts = {"intersection": 1, "union": 5, "status": "ok", "truth_pixels": 3, "prediction_pixels": 4, "resized": True}
+    assert Record(counts).scored == metrics.Row(1, 5, "ok", 3, 4, True)
+    assert Record({**counts, "union": 4}).iou == 0.25
+
+
+def test_a_run_is_complete_with_all_its_samples(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", manifest(), retry=["error"]) as run:
+        for id in "abc":
+            assert not read_run(tmp_path / "run").complete
+            run.add(row(id, "error" if id == "b" else "ok"))
+        assert run.settled == 3
+    found = read_run(tmp_path / "run")
+    assert found.complete
+    assert not found.external
+    with RunWriter(tmp_path / "run", manifest(), retry=["error"]) as run:
+        assert run.settled == 2, "one is asked for again"
+    theirs = Run(tmp_path, manifest(predictions="9f3c"), {})
+    assert theirs.external
+
+
+def test_six_differences_are_listed_and_the_others_counted(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", manifest(**{f"key{i}": 0 for i in range(8)})):
+        pass
+    for count, end in ((6, "key5: 0 there, 1 here); choose"), (8, "key5: 0 there, 1 here; and 2 more); choose")):
+        other = manifest(**{f"key{i}": int(i < count) for i in range(8)})
+        with pytest.raises(ConfigError) as refused, RunWriter(tmp_path / "run", other):
+            pass
+        assert end in str(refused.value)
+
+
+def test_a_writer_forgets_masks_and_traces(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        assert set(run.add(row("a")).row) == {"id", "status", "intersection", "union"}
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        assert set(run.records["a"].row) == {"id", "status", "intersection", "union"}
+    assert "mask" in read_run(tmp_path / "run").records["a"].row
+
+
+def test_drafts_of_a_killed_writer_are_removed_and_other_files_kept(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        name = run.add_picture(Image.new("RGB", (20, 10)))
+    for folder in (tmp_path / "run", tmp_path / "run" / "images"):
+        (folder / f".{uuid.uuid4().hex}.tmp").touch()
+        (folder / "notes.txt").touch()
+    with RunWriter(tmp_path / "run", manifest()):
+        pass
+    left = {path.name for path in (tmp_path / "run").rglob("*")}
+    assert left == {"lock", "manifest.json", "samples.jsonl", "images", "notes.txt", Path(name).name}
+
+
+def test_a_lock_names_its_holder_alone(tmp_path: Path) -> None:
+    (tmp_path / "lock").write_text("process 4194304 on a machine with a very, very long name\n" * 3)
+    with hold(tmp_path / "lock"):
+        assert (tmp_path / "lock").read_text() == f"process {os.getpid()} on {socket.gethostname()}\n"
