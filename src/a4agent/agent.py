@@ -181,7 +181,7 @@ class A4Agent:
         return _with_regions(answer, regions)
 
     def _verified(self, answer: Affordance, asked: _Question) -> Affordance:
-        """The answer with its confidence: the best of those that came of asking the blamed stages again.
+        """The answer with its confidence: the best of the candidates from asking blamed stages again.
 
         Regions that were given are final, and are not verified.
         """
@@ -213,7 +213,7 @@ class A4Agent:
         return best
 
     def _judged(self, answer: Affordance, asked: _Question) -> tuple[Affordance, Verdict | None]:
-        """The answer with what the Verifier finds; one that found nothing has nothing to verify."""
+        """The answer with the Verifier's verdict; an empty one is not verified."""
         assert self.verifier is not None
         if answer.status != "ok":
             return answer, None
@@ -222,7 +222,7 @@ class A4Agent:
         return replace(answer, status=status, confidence=verdict.confidence, checks=verdict.checks), verdict
 
     def _to_ask_again(self, answer: Affordance, verdict: Verdict | None, given: Given) -> str | None:
-        """The stage to blame, or the one that works on its answer where it does not run; None if all is given."""
+        """The blamed stage, or the next one after it that runs; None if its answer is given."""
         blamed = verdict.worst.blame if verdict and verdict.worst else ("" if verdict else "spotter")
         if not blamed or given.detection is not None:
             return None
@@ -234,7 +234,7 @@ class A4Agent:
     def _asked_again(
         self, blamed: str, answer: Affordance, asked: _Question, reason: str, retry: int
     ) -> Affordance | None:
-        """Another answer by asking one stage differently, and those after it; None if there is no other way to ask."""
+        """Another answer, by asking a stage differently and then those after it; None if there is no other way."""
         answer = replace(answer, status="ok", confidence=None, checks=())
         if blamed == "spotter":
             assert answer.image is not None
@@ -295,7 +295,7 @@ class A4Agent:
         return replace(self, dreamer=dreamer, thinker=thinker, spotter=spotter, verifier=verifier)
 
     def close(self) -> None:
-        """Let go of all models."""
+        """Release all models."""
         for expert in self.experts():
             expert.close()
 
@@ -308,7 +308,7 @@ class A4Agent:
 
 @dataclass(frozen=True)
 class _Question:
-    """What belongs to one call of `predict` beside the answer."""
+    """The state of one call of `predict` besides the answer."""
 
     given: Given
     recorder: Recorder
@@ -323,7 +323,7 @@ def _with_regions(answer: Affordance, regions: tuple[Region, ...]) -> Affordance
 
 
 def _rank(answer: Affordance) -> float:
-    """How good a candidate is: its confidence; one that nothing is known of, and then one without a mask, last."""
+    """How good a candidate is: its confidence; below that, an answer without a confidence, then one without a mask."""
     if answer.status == "empty":
         return -2.0
     return -1.0 if answer.confidence is None else answer.confidence

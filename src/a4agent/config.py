@@ -95,7 +95,7 @@ class SpotterSettings(SettingsTable):
 
 
 class VerifierSettings(SettingsTable):
-    """What is looked at after the Spotter, and by which experts; see `a4agent.stages.verifier`.
+    """The checks after the Spotter and their experts; see `a4agent.stages.verifier`.
 
     Without a `vlm` of its own the Verifier asks the Thinker's.
     """
@@ -133,7 +133,7 @@ class EngineSettings(SettingsTable):
 
 
 class ProfileInfo(SettingsTable):
-    """What people read about a profile before they choose it."""
+    """A profile's description for people."""
 
     summary: str = ""
     memory: str = ""
@@ -206,7 +206,7 @@ def load_profile(profile: str | Path) -> Settings:
 
 
 def _merge(profile: str | Path, layers: Mapping[str, dict[str, Any]]) -> Settings:
-    """The settings of a profile under layers, which are named by their source; the last one wins."""
+    """The settings of a profile under layers, named by their sources; the last layer wins."""
     merged = conceal(_read_profile(profile))
     layers = {source: conceal(layer) for source, layer in layers.items()}
     for source, layer in layers.items():
@@ -246,7 +246,7 @@ def _read_environment(environ: Mapping[str, str]) -> dict[str, Any]:
             continue
         if variable not in known and not any(variable.startswith(f"{name}__") for name in _expert_variables()):
             raise UnknownNameError.of("environment variable", variable, known | OTHER_VARIABLES)
-        if not text:  # shells and compose files leave variables out in this way
+        if not text:  # how shells and compose files leave a variable out
             continue
         keys = variable.removeprefix(PREFIX).lower().split("__")
         _put(found, keys, text if keys == ["profile"] else parse_value(text))

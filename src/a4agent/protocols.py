@@ -216,10 +216,10 @@ class Charges(Protocol):
 
 @runtime_checkable
 class Repeats(Protocol):
-    """An expert that repeats failed calls by itself, with waits that nobody can end."""
+    """An expert that repeats failed calls by itself, with waits that cannot be interrupted."""
 
     def without_retries(self) -> Expert:
-        """The same expert, which makes each call once; it is usable until the original is closed."""
+        """The same expert, making each call once; usable until the original is closed."""
         ...
 
 

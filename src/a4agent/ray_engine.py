@@ -193,7 +193,7 @@ class Actors:
 
 @dataclass(frozen=True)
 class ExpertFacts:
-    """What an actor tells of one of its experts."""
+    """What the driver needs to know of an actor's expert."""
 
     role: Role
     id: str
@@ -217,7 +217,7 @@ class StageActor:
             self._broken = error
 
     def about(self) -> dict[str, ExpertFacts] | A4Error:
-        """What the driver needs to know of each expert; the error that kept them from being built."""
+        """The facts of each expert, or the error that kept them from being built."""
         return self._broken or {
             name: ExpertFacts(
                 cast(Role, name.rpartition(".")[2]),
@@ -294,7 +294,7 @@ def _connected(ray: Any) -> Generator[None]:
 
 
 def _check_size(found: Mapping[str, float], pools: Mapping[str, Mapping[str, float]]) -> None:
-    """Check that there is room for an actor of each stage: Ray would wait for a node forever."""
+    """Raise ConfigError if there is no room for an actor of each stage, since Ray would wait for a node forever."""
     for resource, key in (("CPU", "num_cpus"), ("GPU", "num_gpus")):
         needed, there = sum(pool[key] for pool in pools.values()), found.get(resource, 0.0)
         if needed > there:

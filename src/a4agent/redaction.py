@@ -6,8 +6,7 @@
 
 Every `Secret` made in this process is remembered and replaced wherever it turns up, plain or escaped; so are the
 values of environment variables whose names end in _KEY, _TOKEN, _SECRET or _PASSWORD, credentials in URLs, bearer
-tokens and the keys of well-known vendors. Values of fewer than six characters are not searched for: they would
-replace half of every text.
+tokens and the keys of well-known vendors. Values of fewer than six characters are left alone: they occur in any text.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ T = TypeVar("T")
 
 
 class Secret:
-    """A text that no message, dump or log shows. Equal to another of the same text; pickles, for worker processes."""
+    """A text that messages, dumps and logs never show. Compares by its text; pickles, for worker processes."""
 
     __slots__ = ("_text",)
 
@@ -149,7 +148,7 @@ def _secrets() -> list[str]:
 
 
 def _forms(text: str) -> set[str]:
-    """A text as it may stand in JSON, Python source, a URL or HTML."""
+    """A text as JSON, Python source, a URL or HTML may contain it."""
     stripped = text.strip()
     return {
         text,

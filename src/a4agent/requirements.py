@@ -4,9 +4,9 @@
         -> [Need("Qwen/Qwen3-VL-2B-Instruct", roles=("thinker.vlm",), path=None, info=CatalogueModel(...)), ...]
     check(settings.expert_specs())      before any work starts: every model is here, or can be fetched
 
-What a provider's model part stands for is in models.toml. A provider that is not there can say it itself:
-its factory's module may define `checkpoints(model, settings) -> list[str]` (folders, OWNER/NAME or
-OWNER/NAME/FILE). Experts inside experts count (`registry.inner_experts`).
+models.toml maps the built-in providers' models to checkpoints. The module of another provider's factory may define
+`checkpoints(model, settings) -> list[str]` (folders, OWNER/NAME or OWNER/NAME/FILE). Experts inside experts count too
+(`registry.inner_experts`).
 """
 
 from __future__ import annotations
@@ -76,17 +76,17 @@ class Need:
 
     @property
     def is_folder(self) -> bool:
-        """Whether it is a folder (or file) of the user's, which nobody fetches."""
+        """Whether it is the user's own folder or file, which is never fetched."""
         return not _NAME.fullmatch(self.name) or Path(self.name).expanduser().exists()
 
     @property
     def reference(self) -> str:
-        """How `a4 models pull` is told of it."""
+        """Its name for `a4 models pull`."""
         return hub.reference(self.name, self.revision, self.file)
 
     @property
     def commit(self) -> str:
-        """The commit that lies in the hub's cache; "" if none does."""
+        """The commit in the hub's cache; "" if it is not there."""
         snapshot = re.search(r"snapshots[\\/]([0-9a-f]{40})", str(self.path or ""))
         return snapshot[1] if snapshot else ""
 
@@ -100,8 +100,8 @@ def needs(experts: Mapping[str, Spec]) -> list[Need]:
     """The checkpoints behind experts, given by role; each once, in the order of the roles.
 
     Raises:
-        UnknownNameError: nobody registered a provider.
-        ModelFilesError: a folder is not there.
+        UnknownNameError: a provider is not registered.
+        ModelFilesError: a folder does not exist.
         MissingExtraError: a model of the hub is needed, and its client is not installed.
     """
     found: dict[tuple[str, str | None], Need] = {}
@@ -140,15 +140,15 @@ def check(experts: Mapping[str, Spec]) -> list[Need]:
     Asks the hub one small question a missing model, and nothing if none is missing.
 
     Raises:
-        MissingExtraError, CredentialError: an extra or a key is missing, and more beside it; the message names all.
-        ModelFilesError: a model is not here and the hub cannot be reached; the message names all of them.
+        MissingExtraError, CredentialError: several things are missing, an extra or a key among them; all are named.
+        ModelFilesError: a model is missing and the hub cannot be reached; the message names all of them.
         CredentialError: a model is gated and this account has no access.
     """
     checkpoints = needs(experts)
     missing = [one for one in checkpoints if one.path is None]
     extras, keys = _missing_extras(extras_of(experts)), _missing_keys(experts, checkpoints)
     wanted = _once_a_fix([*extras, *keys, *map(_as_missing, missing)])
-    if (extras or keys) and len(wanted) > 1:  # what is missing alone is said in its own words
+    if (extras or keys) and len(wanted) > 1:  # a single missing thing has a message of its own
         lines = "".join(f"\n  {one.what}: {one.fix}" for one in wanted)
         raise (MissingExtraError if extras else CredentialError)(f"{len(wanted)} things are missing here:{lines}")
     failures: list[ModelFilesError | CredentialError] = []
@@ -256,7 +256,7 @@ def missing_modules(extra: str) -> list[str]:
 
 
 def check_profile(name: str) -> list[Missing]:
-    """What stands between this machine and a profile by itself; empty if nothing does. Never raises."""
+    """What this machine lacks for a profile, without other settings; empty if nothing. Never raises."""
     try:
         settings = load_profile(name)
     except A4Error as error:
@@ -265,7 +265,7 @@ def check_profile(name: str) -> list[Missing]:
 
 
 def check_settings(settings: Settings) -> list[Missing]:
-    """The same for settings that are merged already."""
+    """The same for merged settings."""
     found = _missing_extras(settings.profile.needs)
     experts = settings.expert_specs()
     try:
@@ -285,7 +285,7 @@ def _missing_extras(extras: Sequence[str]) -> list[Missing]:
 
 
 def _missing_keys(experts: Mapping[str, Spec], checkpoints: Sequence[Need]) -> list[Missing]:
-    """Keys, and what else keeps experts without a checkpoint from being made."""
+    """Keys, and whatever else experts without a checkpoint lack."""
     with_checkpoints = {role for one in checkpoints for role in one.roles}
     return [one for role, spec in experts.items() if role not in with_checkpoints for one in _try_to_build(role, spec)]
 
@@ -304,14 +304,14 @@ def _once_a_fix(found: Sequence[Missing]) -> list[Missing]:
 
 
 def _joined(whats: list[str]) -> str:
-    """["a key for openai:a", "a key for openai:b"] -> "a key for openai:a, openai:b"; else the first tells enough."""
+    """["a key for openai:a", "a key for openai:b"] -> "a key for openai:a, openai:b"; of other texts the first."""
     start = "a key for "
     keys = [what.removeprefix(start) for what in whats if what.startswith(start)]
     return start + ", ".join(keys) if keys else whats[0]
 
 
 def _try_to_build(role: str, spec: Spec) -> list[Missing]:
-    """An expert without a checkpoint is quickly made, and says itself what it lacks: a key, a library."""
+    """What an expert without a checkpoint lacks (a key, a library), from building it, which is quick."""
     try:
         registry.create(spec.expert, cast(Role, role.rpartition(".")[2]), spec.settings).close()
     except CredentialError as error:
@@ -322,6 +322,6 @@ def _try_to_build(role: str, spec: Spec) -> list[Missing]:
         return [Missing(what, fix)]
     except A4Error as error:
         return [Missing(f"{role}: {error}", f"--set {role}=PROVIDER:MODEL")]
-    except Exception as error:  # somebody's expert that breaks
+    except Exception as error:  # a broken expert of another package
         return [Missing(f"{role}: {spec.expert} cannot be made: {error!r}", f"--set {role}=PROVIDER:MODEL")]
     return []

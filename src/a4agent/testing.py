@@ -1,4 +1,4 @@
-"""Scripted experts: answers queued or computed, requests kept. For your tests, as for ours.
+"""Scripted experts for tests: answers are queued or computed, requests are kept.
 
     vlm = ScriptedVLM(["### Output\\n{...}"])                        # answers in order
     detector = ScriptedDetector(lambda request: Detection(...))        # or computed
@@ -88,7 +88,7 @@ class Script(ExpertBase, Generic[RequestT, ScriptedAnswerT]):
 
 
 class ScriptedVLM(Script[ChatRequest, ChatAnswer]):
-    """Answers are `ChatAnswer`s, or texts of one."""
+    """Answers are `ChatAnswer`s or texts."""
 
     def chat(self, requests: Sequence[ChatRequest]) -> list[ChatAnswer | A4Error]:
         return self._answer(requests, lambda answer: ChatAnswer(answer) if isinstance(answer, str) else answer)

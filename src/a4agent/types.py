@@ -62,7 +62,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that the Verifier looked at.
+    """One thing that the Verifier measured.
 
     `value` is 0 (bad) to 1 (good), None where it could not be measured; `note` is a sentence for people. `blame` is the
     stage to ask again ("dreamer", "thinker" or "spotter") when the value is low, "" if it points at none.
@@ -108,8 +108,8 @@ class Detection:
 
     As the model gave them: not clipped, not ordered, not paired. `points_derived` is true when the points were
     computed from the boxes: they tell a segmenter nothing new, and the centre of a ring is a hole.
-    `masks` (n, H, W) bool only from models that segment as they detect. `cut_off` is true when the model ran into its
-    token limit and this is what it had given by then.
+    `masks` (n, H, W) bool only from models that segment as they detect. `cut_off` is true when the model reached its
+    token limit, so that this is only a part of its answer.
     """
 
     boxes_xyxy: np.ndarray = field(default_factory=no_boxes)
@@ -250,9 +250,8 @@ class Affordance:
     @property
     def points_xy(self) -> np.ndarray:
         """All key points, (n, 2) float32."""
-        if not self.regions:
-            return np.zeros((0, 2), np.float32)
-        return np.concatenate([region.points_xy.reshape(-1, 2) for region in self.regions]).astype(np.float32)
+        points = [region.points_xy.reshape(-1, 2) for region in self.regions]
+        return np.concatenate([no_points(), *points]).astype(np.float32)
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the pictures, ready for `json.dumps`; masks as COCO RLE."""

@@ -1,12 +1,12 @@
-"""What a benchmark is to the rest of the house: samples with a public half and a hidden one.
+"""A benchmark: samples with a public half and a hidden one.
 
     benchmark = load("folder", "photos")            # benchmarks.registry
     for sample in benchmark:                        # streams; nothing is decoded before it is asked for
         affordance = agent.predict(sample.query.image, sample.query.instruction)
         row = metrics.measure(affordance.mask, sample.truth.mask(), affordance.status)
 
-An agent is only ever handed `sample.query`: an id, a picture, an instruction. Masks, part names,
-reference answers and categories live in `sample.truth`, which nothing below the scorer sees.
+An agent gets only `sample.query`: an id, a picture, an instruction. Masks, part names, reference answers and
+categories are in `sample.truth`, which only the scorer sees.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Truth:
         return self.load_mask()
 
     def alternatives(self) -> tuple[np.ndarray, ...]:
-        """Other masks (H, W) bool that are as right as `mask()`; for `metrics.measure`. Mostly none."""
+        """Other masks (H, W) bool that are as right as `mask()`; for `metrics.measure`. Usually none."""
         return self.load_alternatives() if self.load_alternatives else ()
 
     def masks(self) -> tuple[np.ndarray, ...]:
@@ -86,11 +86,11 @@ class Benchmark:
     size, sample: how many samples there are, and the i-th of them (lazily: no picture is decoded).
     digest: a sha256 over the index and the files' names and sizes: two datasets that differ differ here.
     options: the reader's options that decide what is asked or true, such as UMD's `rule`.
-    revision: the dataset's own word for its version, "" if it has none.
+    revision: the dataset's own name for its version, "" if it has none.
     protocol: how it is scored by default; published_protocol: how its authors' code scores it.
     expected: the published number of samples, None if there is no such number.
-    measure: further measures of one answer, by name, where the field has other ones than masks; means are printed.
-    frames: pictures of one size of what an answer led to, asked for after `measure` of the same sample; none if none.
+    measure: further measures of one answer by name, where the field uses other ones; their means are printed.
+    frames: pictures of one size that show what an answer led to, or none; called after `measure` of the same sample.
     """
 
     name: str

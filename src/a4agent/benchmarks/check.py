@@ -1,4 +1,4 @@
-"""Is the data all there? Opens every picture and every mask of a benchmark and counts what is wrong."""
+"""Opens every picture and mask of a benchmark and counts what is missing or broken."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class DataCheck:
 
 
 def check(benchmark: Benchmark, on_sample: Callable[[int], None] | None = None) -> DataCheck:
-    """Read all of a benchmark, one sample at a time. `on_sample` hears the number of each that is done."""
+    """Read a benchmark, one sample at a time. `on_sample` is called with the number of each sample when it is done."""
     problems: list[Problem] = []
     categories: Counter[str] = Counter()
     readable = empty = other_size = 0

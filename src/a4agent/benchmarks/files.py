@@ -20,7 +20,7 @@ MAX_PIXELS = 100_000_000
 MAX_COORDINATES = 1_000_000
 """In all polygons of one mask."""
 SMALL = 1 << 18
-"""Bytes up to which a file is hashed as a whole: masks are, photographs mostly are not."""
+"""Files of at most this many bytes are hashed whole: most masks, few photographs."""
 
 
 def folder(path: str | Path, benchmark: str) -> Path:
@@ -59,7 +59,7 @@ def confined(root: Path, relative: str) -> Path:
 
 
 def read_mask(path: Path) -> np.ndarray:
-    """A mask picture as (H, W) bool: foreground is every pixel whose value is not 0, alpha left aside.
+    """A mask picture as (H, W) bool: foreground is every pixel whose value is not 0, ignoring alpha.
 
     Raises:
         DataError: missing, not a picture, cut off, or too large.
@@ -79,7 +79,7 @@ def read_mask(path: Path) -> np.ndarray:
 
 
 def read_mask_in(root: Path, relative: str) -> np.ndarray:
-    """`read_mask` of a file that the dataset in `root` names; raises DataError also where that leads outside."""
+    """`read_mask` of a `confined` file: one that the dataset in `root` names."""
     return read_mask(confined(root, relative))
 
 
@@ -87,7 +87,7 @@ def read_rle(value: Any, where: str) -> np.ndarray:
     """A COCO RLE, compressed or not, as (H, W) bool.
 
     Raises:
-        DataError: it is not one; the message names `where` it stands.
+        DataError: it is not a COCO RLE; the message begins with `where`.
     """
     try:
         return decode_rle(value)
@@ -99,7 +99,7 @@ def read_polygons(polygons: Any, size_hw: Any, where: str) -> np.ndarray:
     """COCO polygons, [[x, y, x, y, ...], ...] in pixels, filled, as (H, W) bool.
 
     Raises:
-        DataError: they are not; the message names `where` they stand.
+        DataError: they are not COCO polygons; the message begins with `where`.
     """
     from pycocotools import mask
 
@@ -113,7 +113,7 @@ def read_polygons(polygons: Any, size_hw: Any, where: str) -> np.ndarray:
             raise ValueError("a polygon needs three corners or more, each of two numbers")
         if sum(len(polygon) for polygon in corners) > MAX_COORDINATES:
             raise ValueError(f"more than {MAX_COORDINATES} coordinates")
-        for polygon in corners:  # pycocotools draws each edge in memory, however far it leads
+        for polygon in corners:  # pycocotools allocates every pixel of an edge, also far outside the image
             xy = np.array(polygon).reshape(-1, 2)
             if not ((xy >= [-width, -height]) & (xy <= [2 * width, 2 * height])).all():
                 raise ValueError(f"a corner far outside the image of {width} x {height} pixels")
@@ -167,7 +167,7 @@ def _object(line: str, path: Path, number: int) -> dict[str, Any]:
 
 
 def digest(parts: Iterable[str | bytes]) -> str:
-    """A sha256 over a sequence of texts, each closed off from the next."""
+    """A sha256 over a sequence of texts, each after its length."""
     sha = hashlib.sha256()
     for part in parts:
         raw = part.encode("utf-8", "surrogatepass") if isinstance(part, str) else part
@@ -177,7 +177,7 @@ def digest(parts: Iterable[str | bytes]) -> str:
 
 
 def sized(root: Path, relative: str) -> str:
-    """A file's name and size for a digest, and its content if it is small, as masks are; a missing one has size -1."""
+    """A file's name and size for a digest, with the hash of its content if it is small; a missing file has size -1."""
     try:
         path = confined(root, relative)
         size = path.stat().st_size

@@ -7,11 +7,11 @@ Licence: yours. Where to get it: draw masks with any tool that writes PNG or COC
     {"id": "mug_02_grasp", "image": "mug_02.jpg", "mask": "mug_02_grasp_mask.png", "instruction": "pick up the mug",
      "object_name": "mug", "object_part": "the handle of the mug", "affordance": "grasp", "category": "mug"}
 
-`id` may be left out (image and row number then name the sample), as may the last four. `mask` is a
-picture (foreground is any value but 0) or a COCO RLE object; a list of them is united.
+`id` (default: from the image and the row number) and the last four are optional. `mask` is a picture (foreground is
+any value but 0), a COCO RLE object, or a list of these, which are united.
 
-A COCO file is a `.json` with `images`, `annotations` and perhaps `categories`; the instruction is the
-annotation's `caption`. Annotations of one image with the same caption are one sample:
+A COCO file is a `.json` with `images`, `annotations` and optional `categories`; the instruction is the annotation's
+`caption`. Annotations of one image with the same caption are one sample:
 
     {"id": 7, "image_id": 1, "category_id": 3, "segmentation": [[10, 10, 50, 10, 50, 40]], "caption": "lift the lid"}
 """
@@ -48,9 +48,7 @@ def create(path: str | Path) -> Benchmark:
 def from_rows(
     name: str, index: Path, rows: list[dict[str, Any]], *, licence: str, source: str, revision: str = ""
 ) -> Benchmark:
-    """A benchmark of rows as `samples.jsonl` has them, with paths beside the file `index`.
-
-    For readers of other layouts that come down to the same rows.
+    """A benchmark of rows as in `samples.jsonl`, with paths relative to the folder of `index`.
 
     Raises:
         DataError: an id is used twice.

@@ -1,7 +1,7 @@
-"""InstructPart: which part of the object an everyday instruction is about (arXiv 2505.18291). 600 test pairs.
+"""InstructPart: the part of an object that an everyday instruction is about (arXiv 2505.18291). 600 test pairs.
 
-Licence: MIT. Where to get it: the data set `zifuwan/InstructPart` on Hugging Face; `test/` is what is read.
-Official scorer: none that is a file of its own; the field scores it by gIoU and cIoU.
+Licence: MIT. Where to get it: the data set `zifuwan/InstructPart` on Hugging Face; only `test/` is read.
+Official scorer: none; the field uses gIoU and cIoU.
 
 `test/data_test.json` is a list of
 
@@ -9,9 +9,9 @@ Official scorer: none that is a file of its own; the field scores it by gIoU and
      "action": "pick up", "instruction": ["If I want to drink, which part should I hold?", "...", "...", "...", "...",
      "..."]}]}
 
-Instruction 0 is a person's, 1 a rewrite of it, 2 to 5 are templates, some of which name the part and so give the
-answer away: they are for those who want a referring task, by `instruction=2` and up. Pictures are in
-`test/images`, masks in `test/masks/{base}-{object}-{part}.png` with "_" for spaces.
+Instruction 0 is a person's, 1 a rewrite of it, 2 to 5 are templates. Some templates name the part and so give the
+answer away, as a referring task does. Pictures are in `test/images`, masks in
+`test/masks/{base}-{object}-{part}.png` with "_" for spaces.
 """
 
 from __future__ import annotations

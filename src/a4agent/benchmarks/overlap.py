@@ -1,10 +1,10 @@
-"""Which pictures do two sets share? Found by perceptual hash, so also after scaling, recompressing or recolouring.
+"""Finds the pictures that two sets share by perceptual hash, also scaled, recompressed or recoloured.
 
     left, right = hash_images(photos), hash_images(others)     # {"mug.jpg": 64-bit hash, ...}
     shared(left, right)            -> [SharedImage("mug.jpg", "tools/0042.png", distance=2), ...]
 
 A hash is 64 bits: the signs of the low frequencies of a small grey picture (pHash). Pictures that differ in at most
-NEAR bits are taken for the same one. Cropped or mirrored copies are not found.
+NEAR bits count as the same. Cropped or mirrored copies are not found.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SIDE, KEPT = 32, 8
 
 @dataclass(frozen=True)
 class SharedImage:
-    """Two names of what is taken for one picture; `distance` is in bits."""
+    """Two names of one picture; `distance` is in bits."""
 
     left: str
     right: str
@@ -36,7 +36,7 @@ class SharedImage:
 
 
 def perceptual_hash(image: Image) -> int:
-    """64 bits that a picture keeps when it is scaled, recompressed, brightened or blurred a little."""
+    """64 bits that hardly change when a picture is scaled, recompressed, brightened or blurred a little."""
     from PIL import Image as Pillow
     from scipy.fft import dctn
 

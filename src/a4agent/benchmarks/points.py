@@ -2,8 +2,8 @@
 
 A sample is a picture, a question and a mask of where a point may lie. They are scored by the contact-point hit rate
 (which `a4 bench` prints for every benchmark): the share of a sample's points inside the mask, averaged over samples.
-IoU is printed as well and means little here: a mask marks every point that is right, and one is enough. The tag
-`kind` reports free places (`placement`) apart from objects and parts.
+IoU is printed too but means little: the mask holds every right point, and one is enough. The tag `kind` separates free
+places (`placement`) from objects and parts.
 
 **Where2Place** (100 questions about free space; see its page for the licence). Where to get it:
 `wentao-yuan/where2place` on Hugging Face: `point_questions.jsonl`, `images/`, `masks/`. Official scorer: RoboPoint
@@ -31,8 +31,7 @@ points inside the mask (above half), 0 without a point. The same questions, with
 Parquet file of the split `test`, with the columns `id`, `problem`, `image`, `mask`. Rule of its authors' paper:
 share of points inside the mask.
 
-The layouts of PIO-Bench and Part-Affordance-2K (both `IffYuan/...` on Hugging Face) could not be confirmed, so there
-is no reader for them.
+PIO-Bench and Part-Affordance-2K (both `IffYuan/...` on Hugging Face) have no reader: their layouts are unconfirmed.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ from a4agent.imaging.load import load_image
 from a4agent.types import Query
 
 FORMAT = "Your answer should be formatted"
-"""Where the questions turn to the format of a text answer, which an agent that answers with points does not need."""
+"""What follows in a question is the format of a text answer, which does not apply to an agent."""
 HALF = 128
 
 

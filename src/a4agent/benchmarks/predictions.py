@@ -1,4 +1,4 @@
-"""Masks that another system's own code wrote, by sample id.
+"""Masks that another system wrote, by sample id.
 
 A folder holds, for each id, a picture `<id>.png` ("/" in an id is a folder; foreground is any value but 0), or one
 file of COCO RLE for all, or both:
@@ -64,7 +64,7 @@ class Predictions:
         return bool(self._listed.get(identity)) or self._picture(identity) is not None
 
     def strays(self, known: Iterable[str]) -> list[str]:
-        """Ids that predictions are for and that the benchmark does not have, sorted."""
+        """The ids of predictions that are not `known`, sorted."""
         found = set(self._listed)
         if self._root is not None:
             pictures = self._root.rglob(f"*{PICTURES}")
@@ -72,7 +72,7 @@ class Predictions:
         return sorted(found - set(known))
 
     def digest(self) -> str:
-        """A sha256 over all the files: other predictions, another digest."""
+        """A sha256 over all files."""
         root = self._root or self.path.parent
         found = [self.path] if self._root is None else [*root.rglob(f"*{PICTURES}"), *self._tables(root)]
         named = sorted((file.relative_to(root).as_posix(), file) for file in found)

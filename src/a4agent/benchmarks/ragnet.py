@@ -12,7 +12,7 @@ Each set is a pickle, a list of
      "question": "I want to cut the bread. ...", "answer": "...", "task_object_class": "knife"}
 
 Paths begin with `./data/`, which is the folder of the pickles. A mask's foreground is any value above 0. HANDAL's
-`rgb/X.jpg` goes with `mask_parts/X_000000_handle.png`, whose name is the only place where a part is named.
+`rgb/X.jpg` goes with `mask_parts/X_000000_handle.png`, whose name is the only mention of the part.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from a4agent.errors import DataError
 from a4agent.types import Query
 
 BROKEN_FRAME = "EK_frame_0000040462.jpg"
-"""The one picture of 3DOI that nobody can decode; the published counts leave it out."""
+"""The one picture of 3DOI that cannot be decoded; the published counts leave it out."""
 
 DATA = "data set Dongming97/RAGNet on Hugging Face: data.zip (37.7 GB), unpacked"
 HANDAL = (

@@ -1,4 +1,4 @@
-"""From a benchmark's name and a path to the benchmark.
+"""Opens benchmarks by name.
 
 A reader is an entry point of the group `a4agent.benchmarks` that names a function:
 
@@ -7,8 +7,8 @@ A reader is an entry point of the group `a4agent.benchmarks` that names a functi
 
     def create(path: str | Path, *, rule: str = "a4") -> Benchmark
 
-Its keyword-only parameters are the benchmark's options. Built-in readers register like a stranger's,
-and nothing is imported before it is asked for.
+Its keyword-only parameters are the benchmark's options. Built-in readers register in the same way, and each is
+imported when it is first used.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ def factory_of(name: str) -> Factory:
     """The function that opens a benchmark.
 
     Raises:
-        UnknownNameError: nobody registered it; the message suggests the nearest name.
-        ConfigError: it is registered, but its module cannot be loaded.
+        UnknownNameError: the name is not registered; the message suggests the nearest.
+        ConfigError: its module cannot be imported.
     """
     return plugins.find(name)
 
@@ -62,7 +62,7 @@ def maker_of(name: str) -> Callable[..., Path]:
 
 
 def missing(name: str) -> str:
-    """What a benchmark lacks on this machine to make its own data, and the command that fixes it; "" if nothing."""
+    """What is missing here to make a benchmark's data, and the command that fixes it; "" if nothing is."""
     try:
         maker_of(name)
     except ConfigError as error:
@@ -76,12 +76,12 @@ def options_of(factory: Factory) -> dict[str, Any]:
 
 
 def load(name: str, path: str | Path | None, options: Mapping[str, Any] | None = None) -> Benchmark:
-    """Open the benchmark `name` at `path`; without one, if it has data of its own.
+    """Open the benchmark `name` at `path`, which may be None if it has data of its own.
 
     Raises:
         UnknownNameError: no such benchmark, or it has no such option.
         ConfigError: it needs a path.
-        DataError: what lies at `path` is not this benchmark.
+        DataError: the data at `path` is not this benchmark.
     """
     factory = factory_of(name)
     known = options_of(factory)

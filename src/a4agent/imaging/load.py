@@ -35,7 +35,7 @@ FORMATS = ("JPEG", "PNG", "BMP", "GIF", "PPM", "WEBP", "TIFF", "AVIF")
 """Pillow's names of the formats that are decoded: some of its other decoders are untested or start programs."""
 HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 ANSWER_PICTURES = ("mask.png", "overlay.png", "imagination.png")
-"""What a saved answer may have beside its affordance.json."""
+"""The pictures that a saved answer may have."""
 EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 _TURN = threading.Lock()
 _HASHES: dict[int, tuple[weakref.ref[Image], str]] = {}
@@ -92,7 +92,7 @@ def read_pixels(
 def _opened(
     source: str | Path | bytes, max_pixels: int, inside: str | Path | None
 ) -> Generator[tuple[Image, str], None, None]:
-    """A picture whose header has been read and found acceptable, and its name in errors."""
+    """A picture whose header has been read and checked, and its name for errors."""
     if isinstance(source, bytes):
         with _explained("the image"), _identified(io.BytesIO(source), "the image", len(source), max_pixels) as image:
             yield image, "the image"
@@ -155,7 +155,7 @@ def _reading_headers() -> Generator[None, None, None]:
 
 @contextmanager
 def _explained(name: str) -> Generator[None, None, None]:
-    """Turn whatever a decoder raises into an InputError that names the picture."""
+    """Turn any error of a decoder into an InputError that names the picture."""
     from PIL import UnidentifiedImageError
 
     try:
@@ -173,7 +173,7 @@ def _explained(name: str) -> Generator[None, None, None]:
 
 
 def _unreadable(what: str, error: Exception) -> InputError | ResourceError:
-    """The picture is to blame, unless this process has used up what the system gives it."""
+    """An InputError, or a ResourceError where the process has run out of file handles or memory."""
     if isinstance(error, OSError) and error.errno in EXHAUSTED:
         return ResourceError(f"no file can be opened ({error}); close other programs, or raise the limit (`ulimit -n`)")
     return InputError(f"{what}: {error}")
@@ -266,14 +266,15 @@ def _to_8_bit(samples: np.ndarray) -> np.ndarray:
 
 
 def image_hash(image: Image) -> str:
-    """A sha256 over size and pixels: the same picture has the same name, whatever file it came from.
+    """A sha256 over mode, size and pixels, whatever file they came from.
 
-    Computed once for an image object, which counts as unchanging.
+    Computed once for each image object, which must not change afterwards.
     """
-    known = _HASHES.get(id(image))
+    number = id(image)
+    known = _HASHES.get(number)
     if known is not None and known[0]() is image:
         return known[1]
-    number, name = id(image), _hash_pixels(image)
+    name = _hash_pixels(image)
     _HASHES[number] = (weakref.ref(image, lambda _: _HASHES.pop(number, None)), name)
     return name
 

@@ -25,9 +25,9 @@ def tight_box(mask: np.ndarray) -> np.ndarray | None:
 
 
 def deepest_point(mask: np.ndarray) -> np.ndarray | None:
-    """The centre xy (2,) float32 of the pixel farthest from the mask's border, which the picture's edge is part of.
+    """The centre xy (2,) float32 of the pixel farthest from the mask's border; None for a blank mask.
 
-    None for a blank mask.
+    The picture's edge counts as border.
     """
     from scipy.ndimage import distance_transform_edt
 
@@ -73,7 +73,7 @@ def decode_rle(rle: Mapping[str, Any]) -> np.ndarray:
     try:
         runs = np.array(counts, np.int64) if isinstance(counts, list) else _runs(counts)
         if runs.ndim != 1 or (runs < 0).any():
-            raise ValueError("a run of fewer than no pixels")
+            raise ValueError("a negative run")
     except (ValueError, TypeError, OverflowError, UnicodeError) as error:
         raise DataError(f"a COCO RLE that cannot be decoded ({error})") from error
     if int(runs.sum()) != height * width:
@@ -93,7 +93,7 @@ def _runs(text: str | bytes) -> np.ndarray:
     if not len(digits):
         return np.zeros(0, np.int64)
     if digits.min() < 0 or digits.max() > 63 or digits[-1] & 32:
-        raise ValueError("a character that stands for no run")
+        raise ValueError("an invalid character")
     ends = np.flatnonzero(digits & 32 == 0)
     starts = np.concatenate([[0], ends[:-1] + 1])
     lengths = ends - starts + 1

@@ -37,8 +37,8 @@ def detection_2d_array(affordance: Affordance, *, frame_id: str = "camera", stam
 
     The class is the part's name; a region without a score has the score 0.
     """
-    name = _name(affordance)
     detections: list[Message] = []
+    at_origin = _pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
     for number, region in enumerate(affordance.regions):
         box = region.box_xyxy if region.box_xyxy is not None else region.tight_box_xyxy
         if box is None:
@@ -47,7 +47,7 @@ def detection_2d_array(affordance: Affordance, *, frame_id: str = "camera", stam
         detections.append(
             {
                 "header": header(frame_id, stamp),
-                "results": [_hypothesis(name, region.score, _pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])))],
+                "results": [_hypothesis(affordance.phrase, region.score, at_origin)],
                 "bbox": {
                     "center": {"position": {"x": (x0 + x1) / 2, "y": (y0 + y1) / 2}, "theta": 0.0},
                     "size_x": x1 - x0,
@@ -134,10 +134,6 @@ def point_cloud(region: LiftedRegion, *, frame_id: str = "camera", stamp: Stamp 
         "data": cloud.tobytes(),
         "is_dense": True,
     }
-
-
-def _name(affordance: Affordance) -> str:
-    return affordance.phrase
 
 
 def _hypothesis(name: str, score: float | None, pose: Message) -> Message:

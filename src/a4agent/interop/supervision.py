@@ -3,7 +3,7 @@
     detections = to_supervision(affordance)
     picture = sv.MaskAnnotator(color_lookup=sv.ColorLookup.INDEX).annotate(picture, detections)
 
-All regions show one part, so colour by index (`ColorLookup.INDEX`); by class they would all look the same.
+All regions have the same class, so colour them by index (`ColorLookup.INDEX`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def to_supervision(affordance: Affordance) -> Any:
     """The regions as `supervision.Detections`: xyxy (n, 4), mask (n, H, W), class 0, and its name under `data`.
 
     A region without a box has the tight box around its mask. `confidence` is None unless every region has a score,
-    because supervision knows no missing ones. Key points are in `data["points_xy"]`, an object array of (k, 2).
+    since supervision does not support missing ones. Key points are in `data["points_xy"]`, an object array of (k, 2).
 
     Raises:
         MissingExtraError: supervision is not installed.

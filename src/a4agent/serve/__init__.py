@@ -1,4 +1,4 @@
-"""The agent for others: an HTTP server for robots and services (`api`) and a web page for people (`page`)."""
+"""The agent as a service: over HTTP (`api`), as tools for language agents (`mcp_server`) and as a web page (`page`)."""
 
 from pathlib import Path
 

@@ -31,7 +31,7 @@ from a4agent.serve import messages
 from a4agent.serve.admission import STREAM_TYPE, Admission, JsonResponse, Limits, Refused
 from a4agent.serve.api_docs import DESCRIPTION, INDEX, batch_extra, errors, html_docs, one_extra
 from a4agent.serve.messages import BatchIn, MaskForm, PictureForm, TraceForm
-from a4agent.serve.predictions import PredictionService, refusal
+from a4agent.serve.predictions import PredictionService, content_type, refusal
 from a4agent.serve.workers import Counters, Tell, Workers
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ def create_app(
 
 
 def _json_only(request: Request) -> None:
-    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    kind = content_type(request)
     if kind != "application/json":
         raise Refused(415, f"send application/json, not {kind or 'a body without a content type'}")
 

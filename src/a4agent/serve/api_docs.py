@@ -1,4 +1,4 @@
-"""What describes the HTTP API: additions to FastAPI's OpenAPI schema, and `/docs`, a page without scripts."""
+"""The description of the HTTP API: additions to FastAPI's OpenAPI schema, and `/docs`, a page without scripts."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def errors(*codes: int) -> dict[int | str, dict[str, Any]]:
 
 
 def one_extra() -> dict[str, Any]:
-    """The single endpoint's body of two kinds and its stream, which FastAPI cannot read from a signature."""
+    """The two kinds of body of the single endpoint and its stream, which FastAPI cannot read from a signature."""
     sample = messages.SampleIn.model_json_schema()
     sample["properties"]["camera"]["anyOf"][0] = sample.pop("$defs")["CameraIn"]  # a body of ours has no definitions
     fields = {name: dict(schema) for name, schema in sample["properties"].items()}

@@ -28,7 +28,7 @@ BACKLOG = 128
 MAX_LOG_RECORDS = 100
 LOG_WINDOW_SECONDS = 10.0
 LARGE_BUFFER = 128 * 1024
-"""Bytes of a buffer whose memory is given back at once: glibc's own first choice."""
+"""Buffers of at least this many bytes are returned to the system when they are freed; glibc's initial value."""
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of <malloc.h>
 
 
@@ -77,7 +77,7 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 def url_of(listening: socket.socket) -> str:
-    """Where the server can be called."""
+    """The server's URL."""
     host, port = listening.getsockname()[:2]
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
@@ -95,8 +95,8 @@ def run(app: Any, listening: socket.socket, *, seconds: float, limits: Connectio
 def return_freed_memory() -> None:
     """Let the C library give the memory of large buffers back to the system as soon as they are freed.
 
-    glibc stops doing so for sizes that it has seen freed, and what a server of pictures holds then swings with their
-    order. It is the only C library that is changed, for the whole process.
+    glibc stops doing so for sizes that it has seen freed, and the memory of a server of pictures then depends on their
+    order. Other C libraries are not changed.
     """
     try:
         set_option = ctypes.CDLL(None).mallopt
@@ -155,7 +155,7 @@ class Connections:
         self._open: dict[GuardedProtocol, None] = {}
 
     def admit(self, connection: GuardedProtocol) -> None:
-        """Add a connection, closing one that waits where there are too many."""
+        """Add a connection, closing one that is waiting if there are too many."""
         self._open[connection] = None
         address = connection.address
         same = [other for other in self._open if other.address == address] if not is_loopback(address) else []

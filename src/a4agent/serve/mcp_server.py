@@ -15,7 +15,7 @@ import binascii
 import io
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,7 +31,7 @@ from a4agent.imaging.masks import decode_rle
 from a4agent.serve.admission import CallerCheck, Limits, read_below, to_json
 from a4agent.serve.messages import to_wire
 from a4agent.stages.recorder import Recorder
-from a4agent.types import Affordance, Detection, Given, Region, Target
+from a4agent.types import Affordance, Detection, Given, Region, Status, Target, finite_or_none
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -56,8 +56,8 @@ class PartTools:
     """The tools' work on one agent, one prediction at a time.
 
     Attributes:
-        any_path: read any path; for stdio, where the caller runs as the same user.
-        root: else only files below this folder, none if it is None.
+        any_path: read any path; for stdio, where the caller is the same user.
+        root: otherwise, read only files below this folder; None for no files.
     """
 
     agent: A4Agent
@@ -87,23 +87,20 @@ class PartTools:
         pixels = _mask(mask or {}, image)
         region = Region(None, np.zeros((0, 2), np.float32), pixels)
         answer = Affordance(
-            instruction, image.size, target=Target(instruction, "", part), regions=(region,), image=image
+            instruction,
+            image.size,
+            target=Target(instruction, "", part),
+            regions=(region,),
+            image=image,
+            profile=self.agent.profile,
+            version=__version__,
         )
         recorder = Recorder()
         with self._lock:
             verdict = verifier.check(answer, self.agent.spotter, recorder)
-        return Affordance(
-            instruction,
-            image.size,
-            target=answer.target,
-            regions=answer.regions,
-            status="ok" if verifier.accepts(verdict.confidence) else "abstained",
-            trace=recorder.trace,
-            image=image,
-            confidence=verdict.confidence,
-            checks=verdict.checks,
-            profile=self.agent.profile,
-            version=__version__,
+        status: Status = "ok" if verifier.accepts(verdict.confidence) else "abstained"
+        return replace(
+            answer, status=status, trace=recorder.trace, confidence=verdict.confidence, checks=verdict.checks
         )
 
     def read_image(self, path: str | None, text: str | None) -> Image:
@@ -281,7 +278,7 @@ def _short(affordance: Affordance) -> dict[str, Any]:
 
 def _lifted(lifted: Lifted) -> list[dict[str, Any]]:
     def numbers(values: np.ndarray) -> list[Any]:
-        return [None if not np.isfinite(value) else round(float(value), 4) for value in np.ravel(values)]
+        return [finite_or_none(round(float(value), 4)) for value in np.ravel(values)]
 
     return [
         {

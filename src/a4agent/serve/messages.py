@@ -1,6 +1,6 @@
 """The JSON of the HTTP API: questions as they come in, affordances and events as they go out.
 
-A picture is bytes, never an address: this server fetches nothing for a caller.
+A picture is bytes, never a URL: the server downloads nothing for a caller.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ import base64
 import binascii
 import io
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
@@ -23,7 +22,7 @@ from a4agent.errors import InputError, MissingExtraError
 from a4agent.imaging.load import TooManyPixels, load_image, read_pixels
 from a4agent.redaction import redact
 from a4agent.serve.admission import Limits, Refused, to_json
-from a4agent.types import Affordance, Detection, Given, Imagination, Target
+from a4agent.types import Affordance, Detection, Given, Imagination, Target, finite_or_none
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -35,7 +34,7 @@ LONGEST_TEXT = 2000
 FORM_FIELDS = ("image", "instruction", "part", "id", "depth", "depth_scale", "camera")
 FORM_FILES = ("image", "depth")
 _PLAIN = {"string_pattern_mismatch": "it is blank", "model_type": "a JSON object is expected"}
-"""Two of pydantic's messages, in words that a caller without pydantic understands."""
+"""Plain words for two of pydantic's messages."""
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 Text = Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT, pattern=r"\S")]
@@ -229,7 +228,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Unusable:
-    """A sample of a batch whose picture cannot be used, and why."""
+    """A sample of a batch that cannot be answered, and why."""
 
     reason: str
     instruction: str
@@ -246,7 +245,7 @@ def from_json(body: bytes, limits: Limits) -> Question:
 
 
 def from_samples(samples: Sequence[SampleIn], limits: Limits) -> list[Question | Unusable]:
-    """The questions of a batch; a picture that cannot be used spoils no other.
+    """The questions of a batch, with an `Unusable` in place of each that has an unusable picture.
 
     Raises:
         Refused: 422 too many samples.
@@ -378,8 +377,7 @@ def to_wire(
         data["mask"] = _mask_to_wire(affordance.mask, union, mask)
     for row, form in zip(regions, forms, strict=True):
         row["mask"] = form
-        if row["score"] is not None and not math.isfinite(row["score"]):
-            row["score"] = None
+        row["score"] = finite_or_none(row["score"])
     data["regions"] = regions
     data["action"] = (plan or plan_action(affordance)).to_dict()
     return data
@@ -403,7 +401,7 @@ def stage_to_wire(name: str, value: Any, imagination: PictureForm) -> dict[str, 
     return {
         "boxes_xyxy": _rounded(found.boxes_xyxy),
         "points_xy": _rounded(found.points_xy),
-        "scores": None if found.scores is None else [_score(score) for score in found.scores],
+        "scores": None if found.scores is None else [finite_or_none(round(float(x), 4)) for x in found.scores],
     }
 
 
@@ -434,10 +432,6 @@ def _png(image: Image) -> str:
     file = io.BytesIO()
     image.save(file, "PNG")
     return base64.b64encode(file.getvalue()).decode("ascii")
-
-
-def _score(score: float) -> float | None:
-    return round(float(score), 4) if math.isfinite(score) else None
 
 
 def _rounded(array: np.ndarray) -> list[Any]:

@@ -26,7 +26,7 @@ KEEP_ALIVE_SECONDS = 15.0
 
 
 class PredictionService:
-    """Reads questions, hands them to the workers and waits for the answers."""
+    """Reads questions, gives them to the workers and waits for the answers."""
 
     def __init__(self, workers: Workers, limits: Limits) -> None:
         self.workers = workers
@@ -39,7 +39,7 @@ class PredictionService:
 
     async def read_one(self, request: Request) -> Question:
         """The question of a form or a JSON body; see `messages` for what is refused."""
-        kind = _content_type(request)
+        kind = content_type(request)
         if kind == "application/json":
             return await self._in_decoder(messages.from_json, await request.body(), self.limits)
         if kind != "multipart/form-data":
@@ -54,7 +54,7 @@ class PredictionService:
         return await self._in_decoder(messages.from_form, fields, files, self.limits)
 
     async def read_batch(self, samples: Sequence[SampleIn]) -> list[Question | Unusable]:
-        """The questions of a batch, and what of it cannot be used."""
+        """The questions of a batch, and its unusable samples."""
         return await self._in_decoder(messages.from_samples, samples, self.limits)
 
     def predict(self, agent: A4Agent, question: Question, tell: Tell) -> Affordance:
@@ -147,7 +147,7 @@ def refusal(error: Exception) -> Refused:
     """The HTTP error for an exception."""
     if isinstance(error, Refused):
         return error
-    if isinstance(error, A4Error):  # a key, a model file or a budget: no request can succeed before it is fixed
+    if isinstance(error, A4Error):  # a key, a model file or a budget: every request fails until it is fixed
         return Refused(503, f"the server cannot work now: {error}", retry_after=60)
     return Refused(500, "the server made a mistake; its log says more")
 
@@ -157,5 +157,6 @@ async def _disconnected(request: Request) -> None:
         pass
 
 
-def _content_type(request: Request) -> str:
+def content_type(request: Request) -> str:
+    """The media type of a request's body, without parameters; "" if it has none."""
     return request.headers.get("content-type", "").partition(";")[0].strip().lower()

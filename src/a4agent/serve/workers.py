@@ -1,4 +1,4 @@
-"""One thread a worker takes jobs in the order they came; nothing else touches a model.
+"""Worker threads that take jobs in the order of their arrival; nothing else touches a model.
 
 workers = Workers([agent], Counters())
 job = workers.submit(lambda agent, tell: agent.predict(picture, "open it", on_stage=tell), tell=print)
@@ -43,7 +43,7 @@ class Job:
     cancelled: bool = False
 
     def cancel(self) -> None:
-        """Stop before the next stage, and let go of the pictures."""
+        """Stop before the next stage, and release the pictures."""
         self.cancelled = True
         self.work = None
 
@@ -65,7 +65,7 @@ class Workers:
         return len(self.agents)
 
     def start(self) -> None:
-        """Begin to work."""
+        """Start the threads."""
         for number, agent in enumerate(self.agents):
             thread = threading.Thread(target=self._run, args=(agent,), name=f"a4-worker-{number}", daemon=True)
             thread.start()
@@ -76,7 +76,7 @@ class Workers:
         return bool(self._threads) and all(thread.is_alive() for thread in self._threads)
 
     def submit(self, work: Work, tell: Tell) -> Job:
-        """Put work at the end of the queue."""
+        """Add work to the end of the queue."""
         job = Job(work, tell)
         with self._lock:
             self._open.append(job)
@@ -91,7 +91,7 @@ class Workers:
             return waiting.index(job) if job in waiting else 0
 
     def seconds_to_wait(self) -> float:
-        """When a place is likely to be free, from how long the latest jobs took."""
+        """Seconds until a place is likely to be free, estimated from the latest jobs."""
         with self._lock:
             return self._seconds * (len(self._open) + 1) / max(self.count, 1)
 
@@ -161,7 +161,7 @@ class Counters:
         self.working = prometheus.Gauge("a4_queue_working", "Jobs being worked on", **of)
 
     def answered(self, method: str, path: str, code: int) -> None:
-        """Count an HTTP answer; unknown methods and paths share the label "other", so that callers make no labels."""
+        """Count an HTTP answer; unknown methods and paths share the label "other", so that callers add none."""
         known_method, known_path = method if method in METHODS else "other", path if path in PATHS else "other"
         self._requests.labels(known_method, known_path, str(code)).inc()
 

@@ -1,9 +1,9 @@
 """Label every frame of a video or folder: the part's mask, box, points and confidence, as Parquet and COCO.
 
     out/
-      annotate.json          what was asked of what: source, instruction, settings
-      frames.jsonl           one answer a frame, written as it comes; a run that was broken off goes on from here
-      annotations.parquet    one row a frame, with the column names of LeRobot datasets (frame_index, timestamp, ...)
+      annotate.json          the job: source, instruction, profile
+      frames.jsonl           one answer per frame, written as it comes; a stopped run continues from here
+      annotations.parquet    one row per frame, with the column names of LeRobot datasets (frame_index, timestamp, ...)
       coco.json              images and annotations with run-length masks
 
 Frames are independent samples of the engine, so they run many at once and come back in any order.
@@ -41,7 +41,7 @@ def annotate(
     recipe: dict[str, Any],
     on_frame: Callable[[Affordance], None] | None = None,
 ) -> int:
-    """Answer every frame that `out` does not hold yet and write the exports; returns the number of frames there.
+    """Answer every frame that `out` lacks and write the exports; returns the number of frames in `out`.
 
     Args:
         recipe: what identifies this job (source, profile, ...); a folder with another one is refused.
@@ -72,7 +72,7 @@ def annotate(
 
 
 def _claim(out: Path, recipe: dict[str, Any]) -> None:
-    """Make the folder this job's, or check that it is.
+    """Mark the folder as this job's, or check that it is.
 
     Raises:
         InputError: it holds the frames of another job.
@@ -91,7 +91,7 @@ def _claim(out: Path, recipe: dict[str, Any]) -> None:
 
 
 def _rows(journal: Path) -> list[dict[str, Any]]:
-    """The answers in a journal, each frame once. A last line that a kill cut off is removed.
+    """The answers in a journal, each frame once. An unfinished last line is removed.
 
     Raises:
         DataError: another line is damaged.

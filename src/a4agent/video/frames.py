@@ -4,7 +4,7 @@
         frames.rate, frames.count                 # 30.0, 240 (None for a camera)
         for index, picture in frames: ...         # 0, PIL.Image in RGB
 
-A video that breaks off ends the iteration early and leaves the reason in `frames.ended_early`.
+A video that is cut off ends the iteration early, with the reason in `frames.ended_early`.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 FOLDER_RATE = 10.0
-"""Frames a second that a folder of images is played at."""
+"""Frames per second of a folder of images."""
 TINT = np.array([255, 61, 127], np.float32)
 
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first file is opened: errors are our one line
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first file is opened; errors are reported here
 
 
 class Frames(Protocol):

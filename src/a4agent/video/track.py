@@ -4,8 +4,8 @@
         for found in track(agent, frames, "open the drawer", create("flow")):
             found.index, found.source, found.mask         # 0 grounded, 1 tracked, 2 tracked, ...
 
-The part is grounded anew when the tracker loses it, or after `every` frames. A grounding that is not accepted
-(empty, or too uncertain for the profile's verifier) is tried again after 1, 2, 4, ... frames.
+The part is grounded again when the tracker loses it, or after `every` frames. A grounding that is not accepted
+(empty, or too uncertain for the profile's verifier) is retried after 1, 2, 4, ... frames.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def track(
 
     Args:
         lost_below: the tracker's quality under which the part is grounded again.
-        every: ground again after this many frames in any case; None for never.
+        every: ground again after at most this many frames; None for no limit.
 
     Raises:
         UserError: a key, model or setting is missing.

@@ -1,4 +1,4 @@
-"""Trackers: given a mask in one frame, where is it in the next?
+"""Trackers follow a mask from one frame to the next.
 
     tracker = create("flow")
     tracker.start(first_frame, mask)
