@@ -136,7 +136,6 @@ def serve(profile: str) -> None:
     from a4agent.serve.api import create_app
     from a4agent.testing import scripted_agent
 
-    http_server.return_freed_memory()  # as `a4 serve` does
     agent = scripted_agent(seconds=0.01) if profile == "scripted" else A4Agent.from_profile(profile)
     with http_server.in_thread(create_app([agent], limits=Limits(queue=8))) as url:
         print(url, flush=True)

@@ -197,13 +197,15 @@ def test_a_flood_of_log_records_is_cut_and_counted(monkeypatch: pytest.MonkeyPat
 HELD = """
 import sys
 import numpy as np
-from a4agent.serve.http_server import return_freed_memory
+from starlette.applications import Starlette
+from a4agent.serve import http_server
 
 def resident():
     return int(open("/proc/self/statm").read().split()[1]) * 4096 / 2**20
 
 if sys.argv[1] == "yes":
-    return_freed_memory()
+    with http_server.in_thread(Starlette()):
+        pass
 np.ones(24 * 2**20, np.uint8)  # freed at once, after which glibc keeps buffers up to this size
 before = resident()
 pictures, answers = [], []
@@ -216,7 +218,7 @@ print(resident() - before)
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="about glibc's allocator")
-def test_the_memory_of_pictures_is_given_back() -> None:
+def test_a_server_gives_the_memory_of_pictures_back() -> None:
     def growth(returned: str) -> float:
         return float(subprocess.run([sys.executable, "-c", HELD, returned], capture_output=True, check=True).stdout)
 

@@ -88,7 +88,6 @@ def run(app: Any, listening: socket.socket, *, seconds: float, limits: Connectio
     Then the server takes no more connections, gives requests in flight up to `seconds` to finish, and waits for the
     application's shutdown.
     """
-    return_freed_memory()
     _server(app, seconds, limits).run(sockets=[listening])
 
 
@@ -123,6 +122,7 @@ def in_thread(app: Any, *, seconds: float = 30.0, limits: ConnectionLimits | Non
 
 
 def _server(app: Any, seconds: float, limits: ConnectionLimits | None) -> uvicorn.Server:
+    return_freed_memory()
     limits = limits or ConnectionLimits()
     protocol: Any = functools.partial(GuardedProtocol, connections=Connections(limits))
     config = uvicorn.Config(
