@@ -66,7 +66,11 @@ def test_without_a_price_the_cost_is_unknown_unless_it_is_free(expert: RemoteExp
     assert (unpriced.tokens_in, unpriced.tokens_out, unpriced.cost) == (1000, 0, None)
     price = {"input": 2.0, "output": 4.0}
     priced = RemoteExpert("local:tiny", expert._connection, settings={}, concurrency=1, price=price)
+    assert priced._usage(answer, sent).cost is None
+    answer.usage.completion_tokens = 0
     assert priced._usage(answer, sent).cost == pytest.approx(0.002)
     assert priced._usage(SimpleNamespace(), sent).cost is None
+    for wrong in ({}, {"completion_tokens": 10}, {"prompt_tokens": 0, "completion_tokens": 10}, {"prompt_tokens": -5}):
+        assert priced._usage(SimpleNamespace(usage=SimpleNamespace(**wrong)), sent).cost is None
     free = RemoteExpert("local:tiny", expert._connection, settings={}, concurrency=1, price=dict.fromkeys(price, 0.0))
     assert free._usage(SimpleNamespace(), sent).cost == 0.0

@@ -108,12 +108,12 @@ def test_a_server_of_ones_own_has_no_list_price_and_may_leave_usage_out(openai_s
 
 
 @pytest.mark.parametrize("wrong", [-4, float("inf")])
-def test_a_usage_that_is_none_counts_nothing(openai_server, wrong):
+def test_a_usage_that_is_none_is_an_unknown_cost(openai_server, wrong):
     message = {"choices": [{"message": {"role": "assistant", "content": "x"}}]}
     openai_server.replies(as_json({**message, "usage": {"prompt_tokens": "many", "completion_tokens": wrong}}))
     answer = ask(openai_server, QUESTION, price={"input": 1.0, "output": 1.0})
     assert isinstance(answer, ChatAnswer)
-    assert (answer.usage.tokens_in, answer.usage.tokens_out, answer.usage.cost) == (0, 0, 0.0)
+    assert (answer.usage.tokens_in, answer.usage.tokens_out, answer.usage.cost) == (0, 0, None)
 
 
 @pytest.mark.parametrize(

@@ -86,15 +86,19 @@ class RemoteExpert(ExpertBase):
         tokens_in = _count(usage, "prompt_tokens", "input_tokens")
         tokens_out = _count(usage, "completion_tokens", "output_tokens")
         cost = None
-        if self._price is not None and (usage is not None or self._price.is_free):
-            cached_in = _count(getattr(usage, "prompt_tokens_details", None), "cached_tokens")
-            image_in = _count(getattr(usage, "input_tokens_details", None), "image_tokens")
-            cost = self._price.cost(tokens_in=tokens_in, tokens_out=tokens_out, cached_in=cached_in, image_in=image_in)
+        counted = tokens_in and tokens_out is not None  # no question is without input tokens
+        if self._price is not None and (counted or self._price.is_free):
+            cost = self._price.cost(
+                tokens_in=tokens_in or 0,
+                tokens_out=tokens_out or 0,
+                cached_in=_count(getattr(usage, "prompt_tokens_details", None), "cached_tokens") or 0,
+                image_in=_count(getattr(usage, "input_tokens_details", None), "image_tokens") or 0,
+            )
         return Usage(
             seconds=sent.seconds,
             attempts=sent.attempts,
-            tokens_in=tokens_in,
-            tokens_out=tokens_out,
+            tokens_in=tokens_in or 0,
+            tokens_out=tokens_out or 0,
             cost=cost,
             request_id=sent.request_id,
         )
@@ -121,6 +125,7 @@ def fields_from_setting(extra: Any) -> dict[str, Any]:
     return dict(cast("Mapping[str, Any]", extra or {}))
 
 
-def _count(usage: Any, *names: str) -> int:
+def _count(usage: Any, *names: str) -> int | None:
+    """The first of these counts that the server gave as a number of tokens; None if it gave none."""
     values = (getattr(usage, name, None) for name in names)
-    return next((int(value) for value in values if isinstance(value, (int, float)) and 0 < value < math.inf), 0)
+    return next((int(value) for value in values if isinstance(value, (int, float)) and 0 <= value < math.inf), None)
