@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -215,6 +216,20 @@ def test_a_busy_server_is_asked_again_when_it_says(photo: bytes) -> None:
 )
 def test_only_a_number_of_seconds_is_waited_for(header: str | None, seconds: float | None) -> None:
     assert client._seconds(header) == seconds
+
+
+def test_a_pause_longer_than_the_timeout_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    pauses: list[float] = []
+    busy = Client(timeout=5.0)
+
+    def ask(method: str, path: str, body: bytes | None, kind: str) -> Any:
+        raise ServerError("busy", 503, 2.0 if not pauses else 1e9, retryable=True)
+
+    monkeypatch.setattr(busy, "_ask", ask)
+    monkeypatch.setattr(client.time, "sleep", pauses.append)
+    with pytest.raises(ServerError, match="busy"):
+        busy.predict(b"", "open")
+    assert pauses == [2.0]
 
 
 def test_a_server_that_is_away_comes_back() -> None:

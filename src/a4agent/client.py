@@ -236,7 +236,8 @@ class Client:
         url: where the server is; http or https.
         token: its bearer token, if it has one.
         timeout: seconds for one answer.
-        retries: how often to try again after a busy server (503) or a broken connection.
+        retries: how often to try again after a busy server (503) or a broken connection. A server that asks for a
+            longer pause than `timeout` is not asked again.
         ssl_context: for https, to trust other certificates than the system's.
     """
 
@@ -351,9 +352,9 @@ class Client:
             try:
                 return self._ask(method, path, body, kind)
             except ServerError as error:
-                if left <= 0 or not error.retryable:
-                    raise
                 pause = wait if error.retry_after is None else error.retry_after
+                if left <= 0 or not error.retryable or pause > self.timeout:
+                    raise
             left, wait = left - 1, wait * 2
             time.sleep(pause)
 
