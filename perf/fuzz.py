@@ -119,6 +119,13 @@ def read_pickle(data: bytes, folder: Path) -> None:
     _open("ragnet-3doi", folder)
 
 
+def read_matlab(data: bytes, folder: Path) -> None:
+    from a4agent.benchmarks.umd import read_ranks
+
+    (folder / "label_rank.mat").write_bytes(data)
+    read_ranks(folder / "label_rank.mat")
+
+
 def read_answer(data: bytes, folder: Path) -> None:
     from a4agent.types import Affordance
 
@@ -154,6 +161,14 @@ def _open(benchmark: str, path: Path) -> None:
             sample.truth.mask()
 
 
+def matlab(**settings: Any) -> bytes:
+    from scipy.io import savemat
+
+    file = io.BytesIO()
+    savemat(file, {"note": {"a": [1, "b"]}, "gt_label": np.ones((4, 6, 7), np.uint8)}, **settings)
+    return file.getvalue()
+
+
 def answer_json() -> bytes:
     from a4agent.types import Affordance, Region
 
@@ -168,6 +183,7 @@ READERS: dict[str, tuple[Reader, Callable[[], list[bytes]]]] = {
     "samples": (read_samples, lambda: [text({**ROW, "mask": mask}) for mask in (RLE, "a.png", ["a.png", RLE])]),
     "coco": (read_coco, lambda: [text(COCO)]),
     "pickle": (read_pickle, lambda: [pickle.dumps([QUESTION], protocol) for protocol in range(5)]),
+    "matlab": (read_matlab, lambda: [matlab(do_compression=compressed) for compressed in (False, False, True)]),
     "affordance": (read_answer, lambda: [answer_json()]),
     "rex-omni": (read_rex_omni, lambda: [REX.encode()]),
     "target": (read_target, lambda: [TARGET.encode(), BOXES.encode()]),

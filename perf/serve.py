@@ -75,7 +75,7 @@ def drive(address: str, kinds: list[tuple[str, bytes, str, int]], until: float, 
         path, body, kind, deserved = kinds[turn % len(kinds)]
         turn += 1
         started = time.monotonic()
-        connection = http.client.HTTPConnection(address, timeout=60)
+        connection = http.client.HTTPConnection(address, timeout=300)
         tally.sent += 1
         try:
             connection.request("POST", path, body, {"Content-Type": kind})

@@ -96,8 +96,8 @@ def test_what_no_sample_could_survive_is_raised() -> None:
         agent.predict(PHOTO, "drink")
 
 
-@pytest.mark.parametrize("instruction", ["", "  \n", None, 7, "caf\udce9"])
-def test_a_blank_or_broken_instruction_is_refused(instruction: Any) -> None:
+@pytest.mark.parametrize("instruction", ["", "  \n", None, 7, "caf\udce9", "open " * 5000])
+def test_a_blank_broken_or_endless_instruction_is_refused(instruction: Any) -> None:
     with pytest.raises(InputError, match="instruction"):
         scripted_agent().predict(PHOTO, instruction)
 

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 StageName = Literal["imagination", "target", "detection", "affordance"]
 OnStage = Callable[[StageName, Any], None]
 
+MAX_INSTRUCTION = 20_000
+"""Characters of an instruction."""
+
 
 @dataclass(frozen=True)
 class A4Agent:
@@ -107,7 +110,7 @@ class A4Agent:
         with the trace so far before a stage is asked again because the Verifier rejected the answer.
 
         Raises:
-            InputError: the image cannot be read or the instruction is blank.
+            InputError: the image cannot be read, or the instruction is blank or longer than MAX_INSTRUCTION.
             UserError: a key, model or setting is missing, so that no sample could succeed.
         """
         picture = load_image(image, max_pixels=self.max_pixels)
@@ -335,6 +338,8 @@ def _checked(instruction: str) -> str:
         raise InputError(f"the instruction is text, not {type(text).__name__}")
     if not text.strip():
         raise InputError("the instruction is blank; say what to do, for instance 'open the refrigerator'")
+    if len(text) > MAX_INSTRUCTION:
+        raise InputError(f"the instruction has {len(text)} characters; {MAX_INSTRUCTION} is the limit")
     try:
         text.encode()
     except UnicodeEncodeError as error:

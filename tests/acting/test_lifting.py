@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from a4agent import client
-from a4agent.acting.lifting import Intrinsics, Lifted, LiftedRegion, back_project, lift
+from a4agent.acting.lifting import Intrinsics, Lifted, LiftedRegion, back_project, lift, read_depth
 from a4agent.errors import InputError
 from a4agent.types import Affordance, Region
 
@@ -124,6 +126,21 @@ def test_millimetres_need_their_scale() -> None:
         lift(affordance(bar()), millimetres, CAMERA)
     region = only(lift(affordance(bar()), millimetres, CAMERA, depth_scale=0.001))
     assert region.frame.origin[2] == pytest.approx(0.75)
+
+
+def test_a_damaged_depth_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "depth.npy"
+    np.save(path, np.full((HEIGHT, WIDTH), 0.75, np.float32))
+    good = path.read_bytes()
+    assert np.nanmax(read_depth(path, (WIDTH, HEIGHT))) == pytest.approx(0.75)
+    forged = good.replace(b"(120, 160)", b"(9999999999999,)")
+    for damaged in (b"", b"PK\3\4 an archive", good[:-1], forged, good.replace(b"'<f4'", b"(((((")):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="cannot read the depth"):
+            read_depth(path, (WIDTH, HEIGHT))
+    np.save(path, np.full((HEIGHT, WIDTH), "deep"))
+    with pytest.raises(InputError, match="of numbers"):
+        read_depth(path, (WIDTH, HEIGHT))
 
 
 def test_depth_of_another_size_is_refused() -> None:

@@ -177,6 +177,8 @@ def metres_of(depth: np.ndarray, size_wh: tuple[int, int], depth_scale: float | 
         InputError: another size than the picture, or integers without `depth_scale` (metres per unit).
     """
     depth = np.asarray(depth)
+    if depth.dtype.kind not in "fiu":
+        raise InputError(f"a depth image is of numbers, not {depth.dtype}")
     width, height = size_wh
     if depth.shape != (height, width):
         raise InputError(
@@ -203,9 +205,12 @@ def read_depth(path: Path, size_wh: tuple[int, int], depth_scale: float = 0.001)
         InputError: it cannot be read, or is not of the picture's size.
     """
     try:
-        values = np.load(path, allow_pickle=False) if path.suffix == ".npy" else read_pixels(path)
-    except (OSError, ValueError) as error:
+        # Mapped: no memory is taken for what a header claims and the file does not have.
+        values = np.lib.format.open_memmap(path, mode="r") if path.suffix == ".npy" else read_pixels(path)
+    except InputError as error:
         raise InputError(f"cannot read the depth {str(path)!r}: {error}") from error
+    except Exception as error:  # numpy raises errors of many kinds for a forged header
+        raise InputError(f"cannot read the depth {str(path)!r}: {error!r}") from error
     return metres_of(values, size_wh, None if values.dtype.kind == "f" else depth_scale)
 
 
