@@ -114,12 +114,23 @@ def test_the_same_answer_acts_the_same_twice(trials: Path) -> None:
     assert str(first) == str(second)
 
 
+def test_any_point_of_the_true_part_lies_on_it(trials: Path) -> None:
+    benchmark = create(trials, contact="part", frames=False)
+    assert benchmark.measure is not None
+    assert benchmark.frames is not None
+    for sample in benchmark:
+        found = benchmark.measure(sample, answer(np.zeros_like(sample.truth.mask()), "empty"))
+        assert found["contact cm"] == pytest.approx(0, abs=1e-6)
+        assert found["lost: part"] == 0
+        assert not benchmark.frames(sample), "nothing was filmed"
+
+
 def test_the_source_of_the_contact_is_part_of_the_fingerprint(trials: Path) -> None:
     assert create(trials).fingerprint() != create(trials, contact="object").fingerprint()
 
 
 def test_wrong_options_and_rows_are_refused(trials: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="answer, object, random"):
+    with pytest.raises(ConfigError, match="answer, object, part, random"):
         create(trials, contact="nothing")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ConfigError, match="seeds"):
         create(trials, seeds=0)

@@ -16,8 +16,8 @@ first use and kept in the cache. There is no official scorer; masks are scored b
     lost: control   failed with a contact on the true part
 
 An abstained answer is acted on too: it counts in `success`, not in `success (ok)`. The option `contact` replaces what
-the hand is told: "answer" (the agent's mask), "object" (the whole thing), "random" (any measured pixel). The true part
-is `--oracle segmenter`.
+the hand is told: "answer" (the contact of the agent's mask), "object" (that of the whole thing), "part" (any point of
+the true part), "random" (any point of the picture). The contact of the true part is `--oracle segmenter`.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ FRAMES, FRAME_WH = 20, (192, 144)
 CONTACTS = 8
 """Places on the mask that are tried until one has a measured depth."""
 SOURCE = "a4 bench sim-act"
-ContactSource = Literal["answer", "object", "random"]
-SOURCES: tuple[ContactSource, ...] = ("answer", "object", "random")
+ContactSource = Literal["answer", "object", "part", "random"]
+SOURCES: tuple[ContactSource, ...] = ("answer", "object", "part", "random")
 BY_NAME = {task.name: task for task in TASKS}
 
 
@@ -240,9 +240,10 @@ def _contact(
     root: Path, row: TrialRow, source: ContactSource, affordance: Affordance, depth: np.ndarray, camera: Intrinsics
 ) -> np.ndarray | None:
     """The point (3,) that the hand is told, in the camera's frame; None where there is none."""
-    if source == "random":
+    if source in ("part", "random"):
         rng = np.random.default_rng([row.seed, *row.task.encode(), 1])
-        rows, columns = np.nonzero(np.isfinite(depth))
+        measured = np.isfinite(depth)
+        rows, columns = np.nonzero(measured & files.read_mask_in(root, row.part) if source == "part" else measured)
         chosen = int(rng.integers(len(rows)))
         xy = np.array([[columns[chosen] + 0.5, rows[chosen] + 0.5]])
         return back_project(xy, depth[rows[[chosen]], columns[[chosen]]], camera)[0]
