@@ -140,6 +140,45 @@ def test_vabench(tmp_path: Path) -> None:
     assert sample.truth.mask().any()
 
 
+def test_part_affordance(tmp_path: Path) -> None:
+    row: dict[str, Any] = {"question_id": 7, "problem": "Where do I grasp the hammer?", "category_type": "hammer"}
+    row |= {"image": stored(picture()), "mask": stored(mask())}
+    write_table(tmp_path / "data" / "train-00000-of-00001.parquet", [row])
+    benchmark = load("part-affordance-2k", tmp_path)
+    (sample,) = benchmark
+    assert sample.query.instruction == "Where do I grasp the hammer?"
+    assert sample.truth.category == "hammer"
+    assert sample.truth.tags["kind"] == "part"
+    assert sample.truth.mask().sum() == 16 * 32
+    assert benchmark.expected == 2000
+
+
+def pio_row(**changes: Any) -> dict[str, Any]:
+    row = {"polygon": [[16, 16, 48, 16, 48, 32, 16, 32]], "image_path": "a.jpg", "height": 48, "width": 64}
+    return {**row, "lang": "Where do I grasp it?", "s1_or_s2": "s2", "subclasses": "affordance", **changes}
+
+
+def test_pio(tmp_path: Path) -> None:
+    (tmp_path / "images_s1s2").mkdir()
+    (tmp_path / "images_s1s2" / "a.jpg").write_bytes(picture(kind="JPEG"))
+    (tmp_path / "s1s2.json").write_text(json.dumps([pio_row(), pio_row(s1_or_s2="s1", subclasses="location")]))
+    first, second = load("pio", tmp_path)
+    assert first.query.instruction == "Where do I grasp it?"
+    assert (first.id, second.id) == ("s2-0000", "s1-0001")
+    assert (first.truth.tags["stage"], second.truth.category) == ("s2", "location")
+    assert abs(int(first.truth.mask().sum()) - 16 * 32) <= 16 + 32 + 1, "the outline may count"
+    assert first.truth.mask()[24, 32]
+    (tmp_path / "s1s2.json").write_text(json.dumps([pio_row(lang="")]))
+    with pytest.raises(DataError, match=r"row 0 of .*lang"):
+        load("pio", tmp_path)
+    (tmp_path / "s1s2.json").write_text(json.dumps([pio_row(polygon=None)]))
+    with pytest.raises(DataError, match="row 0 of"):
+        load("pio", tmp_path)[0].truth.mask()
+    (tmp_path / "s1s2.json").write_text("{}")
+    with pytest.raises(DataError, match="list of questions"):
+        load("pio", tmp_path)
+
+
 def test_a_table_without_a_column_is_named(tmp_path: Path) -> None:
     write_table(tmp_path / "test-0.parquet", [{"id": "a", "problem": "x", "image": stored(picture())}])
     with pytest.raises(DataError, match="has no column 'mask'"):

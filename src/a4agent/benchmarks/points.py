@@ -1,4 +1,4 @@
-"""Benchmarks that ask for points: Where2Place, RefSpatial-Bench, RoboAfford-Eval and VABench-P.
+"""Benchmarks that ask for points: Where2Place, RefSpatial-Bench, RoboAfford-Eval, VABench-P, Part-Affordance-2K, PIO.
 
 A sample is a picture, a question and a mask of where a point may lie. They are scored by the contact-point hit rate
 (which `a4 bench` prints for every benchmark): the share of a sample's points inside the mask, averaged over samples.
@@ -31,7 +31,19 @@ points inside the mask (above half), 0 without a point. The same questions, with
 Parquet file of the split `test`, with the columns `id`, `problem`, `image`, `mask`. Rule of its authors' paper:
 share of points inside the mask.
 
-PIO-Bench and Part-Affordance-2K (both `IffYuan/...` on Hugging Face) have no reader: their layouts are unconfirmed.
+**Part-Affordance-2K** (2000 questions about where to grasp; see its page for the licence). Where to get it:
+`IffYuan/Part-Affordance-2K` on Hugging Face: `data/train-*.parquet`, its only split, with the columns `question_id`,
+`problem`, `image`, `mask` and `category_type`. Official scorer: pickxiguapi/Embodied-R1 @16c4534,
+`eval/hf_inference_affordance.py`: the share of points on mask pixels above 0, averaged over samples, 0 without a point.
+Here a pixel counts from 128, as in X-Square's scorer of the same data.
+
+**PIO**, Point-It-Out (about 500 questions in the stages S1, which thing, and S2, where to act; see its page for the
+licence). Where to get it: xavihart/PIO on GitHub: `s1s2.json` and `images_s1s2/` in its folder `data`. Official scorer:
+the repository @569adf6, `code/utils/task.py`: the share of points inside the polygons; for boxes, `code/eval_s1s2.py`,
+IoU with the polygon's box, which is not computed here. The third stage, S3, asks for a trace and is judged by a model.
+
+    {"polygon": [[x1, y1, ..., xn, yn]], "image_path": ..., "height": ..., "width": ..., "lang": the question,
+     "s1_or_s2": "s1" or "s2", "subclasses": "recommendation", ...}
 """
 
 from __future__ import annotations
@@ -140,8 +152,57 @@ def create_vabench(path: str | Path) -> Benchmark:
     return _from_parquet("vabench-p", path, ("test",), ("problem", ""), source, 300)
 
 
+def create_part_affordance(path: str | Path) -> Benchmark:
+    """Part-Affordance-2K: where to grasp (2000 questions); needs the extra `bench`.
+
+    Raises:
+        DataError: it is not at `path`, or has other columns.
+        MissingExtraError: pyarrow is not installed.
+    """
+    source = "data set IffYuan/Part-Affordance-2K on Hugging Face"
+    return _from_parquet("part-affordance-2k", path, ("train",), ("problem", ""), source, 2000, "category_type")
+
+
+def create_pio(path: str | Path) -> Benchmark:
+    """PIO, stages S1 and S2: which thing, and where to act.
+
+    Raises:
+        DataError: it is not at `path`, or a row is not as in the published file.
+    """
+    root = files.folder(path, "pio")
+    index = root / "s1s2.json"
+    rows = files.read_json(index)
+    if not isinstance(rows, list):
+        raise DataError(f"{str(index)!r} must hold a list of questions")
+    pictures: list[str] = []
+    for number, row in enumerate(cast("list[Any]", rows)):
+        texts = {key: row.get(key) for key in ("image_path", "lang", "s1_or_s2")} if isinstance(row, dict) else {}
+        if not texts or not all(isinstance(text, str) and text for text in texts.values()):
+            raise DataError(f"row {number} of {str(index)!r}: image_path, lang and s1_or_s2 must be texts")
+        pictures.append(f"images_s1s2/{texts['image_path']}")
+
+    def sample(i: int) -> Sample:
+        row, where = cast("dict[str, Any]", rows[i]), f"row {i} of {str(index)!r}"
+        size_hw = (row.get("height"), row.get("width"))
+        truth = Truth(
+            partial(files.read_polygons, row.get("polygon"), size_hw, where),
+            category=str(row.get("subclasses") or ""),
+            tags={"kind": "part", "stage": row["s1_or_s2"]},
+        )
+        return Sample(Query(f"{row['s1_or_s2']}-{i:04d}", files.confined(root, pictures[i]), row["lang"]), truth)
+
+    digest = files.digest([index.read_bytes(), *(files.sized(root, name) for name in pictures)])
+    return Benchmark("pio", "see its page", "xavihart/PIO on GitHub", root, len(pictures), sample, digest)
+
+
 def _from_parquet(
-    name: str, path: str | Path, splits: Sequence[str], columns: tuple[str, str], source: str, expected: int
+    name: str,
+    path: str | Path,
+    splits: Sequence[str],
+    columns: tuple[str, str],
+    source: str,
+    expected: int,
+    category_column: str = "",
 ) -> Benchmark:
     """A data set of Parquet files, one or more a split, with pictures and masks inside."""
     parquet: Any = require("pyarrow.parquet", extra="bench")
@@ -174,7 +235,7 @@ def _from_parquet(
         truth = Truth(
             partial(_mask_of_row, table, number, where),
             object_name=str(row.get(object_column) or ""),
-            category=split,
+            category=str(row.get(category_column) or split),
             tags={"kind": "placement" if split == "placement" else "part", "step": str(row.get("step", ""))},
         )
         question = _question(row[question_column], where)
