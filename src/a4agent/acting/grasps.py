@@ -19,7 +19,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from a4agent.acting.lifting import Intrinsics, back_project
+from a4agent.acting.lifting import Intrinsics, back_project, median_depth, project
 from a4agent.errors import InputError
 from a4agent.types import Affordance
 
@@ -79,7 +79,8 @@ def find_grasps(
     points, normals = _outline(mask)
     if len(points) < 8:
         return ()
-    inside = np.array([_median_depth(depth, mask, xy) for xy in points - STEP * normals])
+    own = np.where(mask, depth, np.nan)
+    inside = np.array([median_depth(own, xy, 2) for xy in points - STEP * normals])
     usable = np.isfinite(inside)
     points, normals, inside = points[usable], normals[usable], inside[usable]
     if len(points) < 2:
@@ -147,16 +148,16 @@ def filter_grasps(
         raise InputError(f"poses must have the shape (n, 4, 4), not {frames.shape}")
     tips = frames[:, :3, 3] + reach * frames[:, :3, 2]
     mask, (height, width) = affordance.mask, affordance.mask.shape
+    own = np.where(mask, depth, np.nan)
     kept: list[int] = []
-    for index, (x, y, z) in enumerate(tips):
-        if not (np.isfinite([x, y, z]).all() and z > 0):
+    for index in np.flatnonzero(np.isfinite(tips).all(1) & (tips[:, 2] > 0)):
+        xy = project(tips[index : index + 1], camera)[0]
+        column, row = np.floor(xy)
+        if not (0 <= column < width and 0 <= row < height and mask[int(row), int(column)]):
             continue
-        column, row = round(x * camera.fx / z + camera.cx), round(y * camera.fy / z + camera.cy)
-        if not (0 <= column < width and 0 <= row < height and mask[row, column]):
-            continue
-        surface = _median_depth(depth, mask, np.array([column + 0.5, row + 0.5]))
-        if np.isfinite(surface) and abs(z - surface) <= tolerance:
-            kept.append(index)
+        surface = median_depth(own, xy, 2)
+        if np.isfinite(surface) and abs(tips[index, 2] - surface) <= tolerance:
+            kept.append(int(index))
     return kept
 
 
@@ -187,15 +188,6 @@ def _outline(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         chosen = np.linspace(0, len(points) - 1, SAMPLES).round().astype(int)
         points, normals = points[chosen], normals[chosen]
     return points, normals
-
-
-def _median_depth(depth: np.ndarray, mask: np.ndarray, xy: np.ndarray, radius: int = 2) -> float:
-    column, row = (int(v) for v in np.floor(xy))
-    rows = slice(max(row - radius, 0), max(row + radius + 1, 0))
-    columns = slice(max(column - radius, 0), max(column + radius + 1, 0))
-    values = depth[rows, columns][mask[rows, columns]]
-    values = values[np.isfinite(values)]
-    return float(np.median(values)) if values.size else float("nan")
 
 
 def _free_beside(

@@ -170,6 +170,25 @@ def back_project(points_xy: np.ndarray, z: np.ndarray, camera: Intrinsics) -> np
     return np.stack([x, y, z], axis=1)
 
 
+def project(points_xyz: np.ndarray, camera: Intrinsics) -> np.ndarray:
+    """Points (n, 3) as an affordance's pixels (n, 2), the inverse of `back_project`.
+
+    A point behind the camera is projected from just in front of it.
+    """
+    z = np.maximum(points_xyz[:, 2], 1e-3)
+    x = points_xyz[:, 0] * camera.fx / z + camera.cx + 0.5
+    return np.stack([x, points_xyz[:, 1] * camera.fy / z + camera.cy + 0.5], axis=1)
+
+
+def median_depth(depth: np.ndarray, xy: np.ndarray, radius: int) -> float:
+    """The median of what was measured within `radius` pixels of a point (2,), in x and y; NaN if nothing was."""
+    column, row = (int(v) for v in np.floor(xy))
+    rows = slice(max(row - radius, 0), max(row + radius + 1, 0))
+    window = depth[rows, max(column - radius, 0) : max(column + radius + 1, 0)]
+    measured = window[np.isfinite(window)]
+    return float(np.median(measured)) if measured.size else float("nan")
+
+
 def metres_of(depth: np.ndarray, size_wh: tuple[int, int], depth_scale: float | None = None) -> np.ndarray:
     """A depth image (H, W) as float64 metres, NaN where nothing was measured.
 
@@ -188,7 +207,7 @@ def metres_of(depth: np.ndarray, size_wh: tuple[int, int], depth_scale: float | 
     if depth_scale is None:
         if depth.dtype.kind != "f":
             raise InputError(
-                f"depth of type {depth.dtype} has no unit; say depth_scale, metres per unit (0.001 for millimetres)"
+                f"depth of type {depth.dtype} has no unit; set depth_scale, metres per unit (0.001 for millimetres)"
             )
         depth_scale = 1.0
     metres = depth.astype(np.float64) * depth_scale
@@ -221,7 +240,7 @@ def _lift_region(region: Region, metres: np.ndarray, camera: Intrinsics, radius:
     pixels = np.stack([columns, rows], axis=1)
     cloud = back_project(pixels + 0.5, own[rows, columns], camera)
     points = region.points_xy.reshape(-1, 2).astype(np.float64)
-    points_xyz = back_project(points, np.array([_depth_at(own, x, y, radius) for x, y in points]), camera)
+    points_xyz = back_project(points, np.array([median_depth(own, xy, radius) for xy in points]), camera)
     frame = _frame(_contact(points_xyz, cloud), cloud)
     centre, size = _box_along(frame, cloud)
     return LiftedRegion(points_xyz, cloud, pixels, frame, centre, size, region.score)
@@ -235,14 +254,6 @@ def _inliers(depth: np.ndarray) -> np.ndarray:
     median = np.median(measured)
     spread = 1.4826 * np.median(np.abs(measured - median))
     return np.abs(depth - median) <= max(OUTLIER_MADS * spread, LEAST_BAND)
-
-
-def _depth_at(own: np.ndarray, x: float, y: float, radius: int) -> float:
-    column, row = int(np.floor(x)), int(np.floor(y))
-    top, left = max(row - radius, 0), max(column - radius, 0)
-    window = own[top : max(row + radius + 1, 0), left : max(column + radius + 1, 0)]
-    measured = window[np.isfinite(window)]
-    return float(np.median(measured)) if measured.size else float("nan")
 
 
 def _contact(points_xyz: np.ndarray, cloud: np.ndarray) -> np.ndarray:

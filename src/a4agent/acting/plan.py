@@ -15,7 +15,7 @@ import numpy as np
 
 from a4agent.acting.contact import Contact, contact_points
 from a4agent.acting.grasps import Grasp, GripperSettings, find_grasps
-from a4agent.acting.lifting import Intrinsics
+from a4agent.acting.lifting import Intrinsics, project
 from a4agent.types import Affordance
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def draw_plan(photo: Image, plan: ActionPlan, camera: Intrinsics, *, grasps: int
     pen = ImageDraw.Draw(canvas)
     unit = max(round(max(canvas.size) / 320), 1)
     for rank, grasp in reversed(list(enumerate(plan.grasps[:grasps]))):
-        lines = [_projected(line, camera) for line in gripper_lines(grasp)]
+        lines = [project(line, camera) for line in gripper_lines(grasp)]
         thick = 2 * unit if rank == 0 else unit
         for colour, width in ((HALO, thick + 2 * unit), (GRIPPER, thick)):
             for line in lines:
@@ -119,10 +119,3 @@ def gripper_lines(grasp: Grasp) -> list[np.ndarray]:
     fork = np.array([[-half, 0, 0], [-half, 0, -finger], [half, 0, -finger], [half, 0, 0]])
     stem = np.array([[0, 0, -finger], [0, 0, -wrist]])
     return [line @ grasp.pose[:3, :3].T + grasp.pose[:3, 3] for line in (fork, stem)]
-
-
-def _projected(points_xyz: np.ndarray, camera: Intrinsics) -> np.ndarray:
-    """Points (n, 3) as pixels (n, 2); what lies behind the camera is drawn at its plane."""
-    z = np.maximum(points_xyz[:, 2], 1e-3)
-    x = points_xyz[:, 0] * camera.fx / z + camera.cx + 0.5
-    return np.stack([x, points_xyz[:, 1] * camera.fy / z + camera.cy + 0.5], axis=1)

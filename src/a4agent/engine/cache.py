@@ -1,6 +1,6 @@
 """Answers kept on disk, by the content of the question: nothing is asked twice.
 
-    CACHE/v1/3f/3f9c...e1.entry        one answer, one file: its checksum, a line of JSON, the PNG if it is a picture
+    CACHE/v2/3f/3f9c...e1.entry        one answer, one file: its checksum, a line of JSON, the PNG if it is a picture
     9c0d...                                      sha256 of the rest
     {"kind": "ChatAnswer", "text": "### Thinking ...", ...}
 
@@ -22,7 +22,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -38,13 +38,14 @@ from a4agent.types import Detection, Usage
 
 log = logging.getLogger("a4agent")
 
-FORMAT = "v1"
+FORMAT = "v2"
 """Changes when older entries can no longer be read."""
 ENTRY = re.compile(r"[0-9a-f]{64}\.entry")
 KEEP = 0.9
 """The share of the limit that an eviction leaves. A process that added the rest counts again: others write too."""
 ABANDONED = 3600.0
 """Seconds after which the process that was writing a file counts as killed."""
+KINDS: dict[str, type[Answer]] = {kind.__name__: kind for kind in (ChatAnswer, EditAnswer, Detection, Segmentation)}
 
 
 def default_folder() -> Path:
@@ -209,33 +210,10 @@ def _plain(value: Any) -> Any:
 
 def pack(answer: Answer) -> bytes:
     """An answer as bytes; `unpack` gives an equal one."""
-    picture = b""
-    fields: dict[str, Any] = {"kind": type(answer).__name__, "usage": asdict(answer.usage)}
-    if isinstance(answer, ChatAnswer):
-        fields |= {"text": answer.text, "reasoning": answer.reasoning, "finish_reason": answer.finish_reason}
-    elif isinstance(answer, EditAnswer):
-        buffer = io.BytesIO()
-        answer.image.convert("RGB").save(buffer, "PNG", compress_level=1)
-        picture = buffer.getvalue()
-    elif isinstance(answer, Detection):
-        fields |= {
-            "boxes_xyxy": _listed(answer.boxes_xyxy),
-            "points_xy": _listed(answer.points_xy),
-            "scores": None if answer.scores is None else _listed(answer.scores),
-            "points_derived": answer.points_derived,
-            "masks": None if answer.masks is None else [encode_rle(mask) for mask in answer.masks],
-            "masks_shape": None if answer.masks is None else list(answer.masks.shape),
-            "text": answer.text,
-            "cut_off": answer.cut_off,
-        }
-    else:
-        height, width = answer.masks.shape[2:]
-        fields |= {
-            "masks": [encode_rle(mask) for mask in answer.masks.reshape(-1, height, width)],
-            "masks_shape": list(answer.masks.shape),
-            "predicted_iou": _listed(answer.predicted_iou),
-        }
-    body = json.dumps(redact(fields)).encode() + b"\n" + picture
+    pictures: list[bytes] = []
+    held = {field.name: _stored(getattr(answer, field.name), pictures) for field in fields(answer)}
+    line = json.dumps(redact({"kind": type(answer).__name__, **held})).encode()
+    body = line + b"\n" + b"".join(pictures)
     return hashlib.sha256(body).hexdigest().encode() + b"\n" + body
 
 
@@ -246,46 +224,50 @@ def unpack(data: bytes) -> Answer | None:
         return None
     line, _, picture = body.partition(b"\n")
     try:
-        return _answer(json.loads(line), picture)
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, OSError, InputError, DataError):
+        held = json.loads(line)
+        return KINDS[held.pop("kind")](**{name: _restored(value, picture) for name, value in held.items()})
+    except (
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        OverflowError,
+        RecursionError,
+        OSError,
+        InputError,
+        DataError,
+    ):
         return None
 
 
-def _answer(fields: dict[str, Any], picture: bytes) -> Answer | None:
-    usage = Usage(**fields["usage"])
-    match fields["kind"]:
-        case "ChatAnswer":
-            return ChatAnswer(fields["text"], fields["reasoning"], fields["finish_reason"], usage)
-        case "EditAnswer":
-            return EditAnswer(load_image(picture), usage)
-        case "Detection":
-            scores = fields["scores"]
-            return Detection(
-                boxes_xyxy=_array(fields["boxes_xyxy"]),
-                points_xy=_array(fields["points_xy"]),
-                scores=None if scores is None else _array(scores),
-                points_derived=fields["points_derived"],
-                masks=None if fields["masks"] is None else _masks(fields),
-                text=fields["text"],
-                cut_off=fields["cut_off"],
-                usage=usage,
-            )
-        case "Segmentation":
-            return Segmentation(_masks(fields), _array(fields["predicted_iou"]), usage)
-        case _:
-            return None
+def _stored(value: Any, pictures: list[bytes]) -> Any:
+    """A field of an answer as JSON; a picture's bytes are added to `pictures`."""
+    from PIL.Image import Image
+
+    if isinstance(value, Usage):
+        return {"usage": vars(value)}
+    if isinstance(value, Image):
+        buffer = io.BytesIO()
+        value.convert("RGB").save(buffer, "PNG", compress_level=1)
+        pictures.append(buffer.getvalue())
+        return {"picture": len(pictures)}
+    if not isinstance(value, np.ndarray):
+        return value
+    shape = list(value.shape)
+    if value.dtype == bool:
+        return {"shape": shape, "masks": [encode_rle(mask) for mask in value.reshape(-1, *shape[-2:])]}
+    return {"shape": shape, "dtype": str(value.dtype), "values": value.ravel().tolist()}
 
 
-def _listed(array: np.ndarray) -> dict[str, Any]:
-    return {"shape": list(array.shape), "dtype": str(array.dtype), "values": array.ravel().tolist()}
-
-
-def _array(stored: dict[str, Any]) -> np.ndarray:
+def _restored(value: Any, picture: bytes) -> Any:
+    if not isinstance(value, dict):
+        return value
+    stored = cast("dict[str, Any]", value)
+    if "usage" in stored:
+        return Usage(**stored["usage"])
+    if "picture" in stored:
+        return load_image(picture)
+    if "masks" in stored:
+        masks = [decode_rle(mask) for mask in stored["masks"]]
+        return np.array(masks, bool).reshape(stored["shape"])
     return np.array(stored["values"], dtype=np.dtype(stored["dtype"])).reshape(stored["shape"])
-
-
-def _masks(fields: dict[str, Any]) -> np.ndarray:
-    shape = fields["masks_shape"]
-    if not fields["masks"]:
-        return np.zeros(shape, bool)
-    return np.stack([decode_rle(mask) for mask in fields["masks"]]).reshape(shape)

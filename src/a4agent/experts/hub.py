@@ -147,7 +147,7 @@ def _explained(name: str, revision: str | None, file: str) -> Generator[None, No
     pull = f"{command} where there is a network (or give a folder instead of the name)"
     if hub.constants.HF_HUB_OFFLINE:
         raise ModelFilesError(
-            f"{name!r} is not on this machine, and HF_HUB_OFFLINE forbids to fetch it: unset it, or run {pull}"
+            f"{name!r} is not on this machine, and HF_HUB_OFFLINE forbids downloading it: unset it, or run {pull}"
         )
     try:
         yield

@@ -66,53 +66,29 @@ class Recorder:
             A4Error: the expert raised it or returned it for this request.
             ProviderError: the expert failed in a way it did not foresee.
         """
-        prompt = _prompt_of(request)
-        step = Step(
-            stage=stage,
-            role=request.role,
-            expert=expert.id,
-            prompt=prompt,
-            prompt_hash=text_hash(prompt, getattr(request, "system", None)),
-        )
         started = time.perf_counter()
         try:
             answer = ask(expert, [request])[0]
             if isinstance(answer, A4Error):
                 raise answer
-            text = _text_of(_checked(answer, request))
+            text, usage = _text_of(_checked(answer, request)), answer.usage
         except Exception as error:
+            spent: Usage = getattr(error, "usage", None) or Usage()
+            attempts = int(getattr(error, "attempts", 1))
             seconds = time.perf_counter() - started
-            spent = getattr(error, "usage", None) or Usage()
-            self._steps.append(
-                replace(
-                    step,
-                    seconds=seconds,
-                    attempts=int(getattr(error, "attempts", 1)),
-                    tokens_in=spent.tokens_in,
-                    tokens_out=spent.tokens_out,
-                    cost=spent.cost,
-                    error=_told(error),
-                )
-            )
+            self._keep(stage, expert, request, replace(spent, seconds=seconds, attempts=attempts), error=_told(error))
             if isinstance(error, A4Error):
                 raise
             raise ProviderError(f"{expert.id} failed on a {request.verb} request: {error!r}") from error
-        usage = answer.usage
-        self._steps.append(
-            replace(
-                step,
-                seconds=usage.seconds or time.perf_counter() - started,
-                cached=usage.cached,
-                attempts=usage.attempts,
-                tokens_in=usage.tokens_in,
-                tokens_out=usage.tokens_out,
-                cost=usage.cost,
-                request_id=usage.request_id,
-                answer=text,
-                cut_off=_is_cut_off(answer),
-            )
-        )
+        usage = replace(usage, seconds=usage.seconds or time.perf_counter() - started)
+        self._keep(stage, expert, request, usage, answer=text, cut_off=_is_cut_off(answer))
         return answer
+
+    def _keep(self, stage: str, expert: Expert, request: Request, usage: Usage, **outcome: Any) -> None:
+        prompt = _prompt_of(request)
+        hashed = text_hash(prompt, getattr(request, "system", None))
+        step = Step(stage, request.role, expert.id, prompt=prompt, prompt_hash=hashed, **vars(usage), **outcome)
+        self._steps.append(step)
 
 
 def _checked(answer: Answer, request: Request) -> Answer:

@@ -81,7 +81,7 @@ def test_another_architecture_is_named(tmp_path):
     [
         (lambda f: (f / "config.json").unlink(), "is not a checkpoint: there is no config.json"),
         (lambda f: (f / "config.json").write_text("{"), "config.json in .* is damaged"),
-        (lambda f: (f / "config.json").write_text("[]"), "does not say its 'model_type'"),
+        (lambda f: (f / "config.json").write_text("[]"), "has no 'model_type'"),
         (lambda f: (f / "model.safetensors").unlink(), "not complete: there are no .safetensors files"),
         (
             lambda f: (f / "model.safetensors.index.json").write_text(

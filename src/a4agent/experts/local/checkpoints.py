@@ -118,7 +118,7 @@ def _kind(model: str, folder: Path) -> str:
         value = cast("dict[str, object]", data).get(key) if isinstance(data, dict) else None
         if isinstance(value, str):
             return value
-        raise ModelFilesError(f"{name} in {str(folder)!r} does not say its {key!r}")
+        raise ModelFilesError(f"{name} in {str(folder)!r} has no {key!r}")
     raise ModelFilesError(f"{model!r} is not a checkpoint: there is no config.json or model_index.json in it")
 
 

@@ -88,14 +88,7 @@ class OpenAIVLM(RemoteExpert):
         price: Mapping[str, float] | None = None,
         extra: Mapping[str, Any] | None = None,
     ) -> None:
-        connection = Connection(
-            model,
-            base_url=base_url,
-            server=server,
-            api_key_variable=api_key_variable,
-            timeout=timeout,
-            max_retries=max_retries,
-        )
+        connection = Connection(model, base_url, server, api_key_variable, timeout, max_retries)
         self._rungs = tuple(connection.server.structured) if structured == "auto" else (structured,)
         if not set(self._rungs) <= {"json_schema", "json_object", "text"}:
             raise ConfigError(f"structured = {structured!r}: write auto, json_schema, json_object or text")

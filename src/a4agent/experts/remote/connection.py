@@ -119,11 +119,11 @@ class Connection:
 
     Raises:
         CredentialError: the server needs a key and the variable is not set.
-        ConfigError: `base_url` is missing or no address, or OPENAI_BASE_URL names another one.
+        ConfigError: `base_url` is missing or not a URL, or OPENAI_BASE_URL names another one.
     """
 
     def __init__(
-        self, model: str, *, base_url: str, server: str, api_key_variable: str, timeout: float, max_retries: int
+        self, model: str, base_url: str, server: str, api_key_variable: str, timeout: float, max_retries: int
     ) -> None:
         if not model:
             raise ConfigError("a model's name is missing after the colon, as in 'openai:gpt-4o'")

@@ -67,14 +67,7 @@ class OpenAIEditor(RemoteExpert):
         concurrency: int = 4,
         price: Mapping[str, float] | None = None,
     ) -> None:
-        connection = Connection(
-            model,
-            base_url=base_url,
-            server=server,
-            api_key_variable=api_key_variable,
-            timeout=timeout,
-            max_retries=max_retries,
-        )
+        connection = Connection(model, base_url, server, api_key_variable, timeout, max_retries)
         self._encoder = PictureEncoder("png", max_side)
         self._wanted = {name: value for name, value in {"size": size, "quality": quality}.items() if value}
         self._extra = fields_from_setting(extra)

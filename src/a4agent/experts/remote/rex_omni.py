@@ -97,14 +97,7 @@ class RexOmniServer(RemoteExpert):
             raise ConfigError("write the server's address after the colon: 'rex-omni-server:http://127.0.0.1:8000/v1'")
         if max_tokens < 1:
             raise ConfigError(f"max_tokens must be at least 1, not {max_tokens!r}")
-        connection = Connection(
-            served_model,
-            base_url=model,
-            server=server,
-            api_key_variable=api_key_variable,
-            timeout=timeout,
-            max_retries=max_retries,
-        )
+        connection = Connection(served_model, model, server, api_key_variable, timeout, max_retries)
         self._encoder = PictureEncoder(image_format, max_side, quality)
         settings = {"model": served_model, "points": points, "max_tokens": max_tokens, **self._encoder.settings}
         address = f"rex-omni-server:{connection.base_url}"
