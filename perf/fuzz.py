@@ -120,10 +120,10 @@ def read_pickle(data: bytes, folder: Path) -> None:
 
 
 def read_matlab(data: bytes, folder: Path) -> None:
-    from a4agent.benchmarks.umd import read_ranks
+    from a4agent.benchmarks.matlab import read_array
 
     (folder / "label_rank.mat").write_bytes(data)
-    read_ranks(folder / "label_rank.mat")
+    read_array(folder / "label_rank.mat", "gt_label")
 
 
 def read_answer(data: bytes, folder: Path) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -48,50 +46,6 @@ def test_unknown_words_and_shapes() -> None:
         umd.truth_mask(np.zeros((2, 2, 7)), "grasp", "a5")
     with pytest.raises(DataError, match="7"):
         umd.truth_mask(np.zeros((2, 2, 6)), "grasp", "a4")
-
-
-def element(kind: int, data: bytes) -> bytes:
-    return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
-
-
-def matlab(content: bytes) -> bytes:
-    packed = zlib.compress(content)
-    return b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM" + struct.pack("<II", 15, len(packed)) + packed
-
-
-def cells(depth: int) -> bytes:
-    """gt_label as a cell within a cell within a cell, ..."""
-    levels: list[bytes] = []
-    size = 0
-    for level in range(depth):
-        name = b"gt_label" if level == depth - 1 else b""
-        head = element(6, struct.pack("<II", 1, 0)) + element(5, struct.pack("<II", 1, 1)) + element(1, name)
-        size += len(head)
-        levels.append(struct.pack("<II", 14, size) + head)
-        size += 8
-    return b"".join(reversed(levels))
-
-
-def test_a_forged_matlab_file_is_refused_before_it_is_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    savemat = pytest.importorskip("scipy.io").savemat
-    path = tmp_path / "label_rank.mat"
-
-    def refusal(content: bytes) -> str:
-        path.write_bytes(content)
-        with pytest.raises(DataError, match="is not a MATLAB file with 'gt_label'") as caught:
-            umd.read_ranks(path)
-        return str(caught.value)
-
-    assert "no numbers of that name" in refusal(matlab(cells(100_000)))  # which scipy reads until it crashes
-    assert "version 5" in refusal(bytes(200))
-    with monkeypatch.context() as small:
-        small.setattr(umd, "MAX_BYTES", 1_000_000)
-        assert "more than 1000000 bytes" in refusal(matlab(bytes(2_000_000)))
-    for wrong in (np.full((2, 2, 7), np.nan), np.full((2, 2, 7), 1j), np.array(["text"]), np.array([{}], object)):
-        savemat(path, {"gt_label": wrong})
-        refusal(path.read_bytes())
-    savemat(path, {"other": 1, "gt_label": np.ones((2, 2, 7), np.uint8)}, do_compression=True)
-    assert umd.read_ranks(path).shape == (2, 2, 7)
 
 
 def test_the_a4_rule_counts_files(umd_path: Path) -> None:

@@ -22,10 +22,7 @@ Each frame is asked two questions, by its tool's category; `grasp` has no pixel 
 
 from __future__ import annotations
 
-import io
 import re
-import struct
-import zlib
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -34,6 +31,7 @@ import numpy as np
 
 from a4agent.benchmarks import files
 from a4agent.benchmarks.base import Benchmark, Sample, Truth
+from a4agent.benchmarks.matlab import read_array
 from a4agent.errors import DataError, UnknownNameError
 from a4agent.types import Query
 
@@ -55,13 +53,6 @@ RULES = {
     "affordance-r1": "What part of the {category} should we interact with in order to {affordance} it?",
 }
 """The instruction of each rule."""
-
-
-MAX_BYTES = 200_000_000
-"""Of a label_rank.mat, unpacked; a published one has some 2 MB."""
-COMPRESSED = 15
-"""MATLAB's number of the kind of element."""
-NUMBERS = ("double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
 
 
 class _ToolQuestion(NamedTuple):
@@ -162,47 +153,8 @@ def _sample(root: Path, row: _ToolQuestion, rule: str) -> Sample:
 
 
 def _mask(root: Path, row: _ToolQuestion, rule: str) -> np.ndarray:
-    return truth_mask(read_ranks(files.confined(root, f"{row.frame}_label_rank.mat")), row.affordance, rule)
-
-
-def read_ranks(path: Path) -> np.ndarray:
-    """`gt_label` of a label_rank.mat, numbers of shape (H, W, affordances).
-
-    Raises:
-        DataError: missing, damaged, of another kind, or too large.
-    """
-    from scipy.io import loadmat, whosmat
-
-    try:
-        raw = path.read_bytes()
-        _check_sizes(raw)
-        # scipy follows cells within cells until the stack is used up.
-        kinds = [kind for name, _, kind in whosmat(io.BytesIO(raw)) if name == "gt_label"]
-        if not kinds or kinds[0] not in NUMBERS:
-            raise ValueError("no numbers of that name")
-        ranks: np.ndarray = loadmat(io.BytesIO(raw), variable_names=["gt_label"])["gt_label"]
-        if ranks.dtype.kind not in "biuf" or not np.isfinite(ranks).all():
-            raise ValueError("not only finite numbers")
-        return ranks
-    except FileNotFoundError as error:
-        raise DataError(f"no such file: {str(path)!r}") from error
-    except Exception as error:  # scipy raises errors of many kinds for a damaged file
-        raise DataError(f"{str(path)!r} is not a MATLAB file with 'gt_label': {error!r}") from error
-
-
-def _check_sizes(raw: bytes) -> None:
-    """Refuse a file whose compressed elements unpack to more than MAX_BYTES: scipy has no limit."""
-    order = {b"IM": "<", b"MI": ">"}.get(raw[126:128])
-    if order is None:
-        raise ValueError("not of MATLAB's version 5")
-    start, unpacked = 128, len(raw)
-    while start + 8 <= len(raw):
-        kind, length = struct.unpack_from(f"{order}II", raw, start)
-        if kind == COMPRESSED:
-            unpacked += len(zlib.decompressobj().decompress(raw[start + 8 : start + 8 + length], MAX_BYTES))
-        start += 8 + length
-    if unpacked >= MAX_BYTES:
-        raise ValueError(f"more than {MAX_BYTES} bytes")
+    ranks = read_array(files.confined(root, f"{row.frame}_label_rank.mat"), "gt_label")
+    return truth_mask(ranks, row.affordance, rule)
 
 
 def _known_rule(rule: str) -> None:
