@@ -73,7 +73,11 @@ def test_the_tight_box_is_half_open() -> None:
     tight = Region(None, np.zeros((0, 2), np.float32), mask).tight_box_xyxy
     assert tight is not None
     assert tight.tolist() == [3, 2, 9, 5]
-    assert Region(None, np.zeros((0, 2), np.float32), mask & False).tight_box_xyxy is None
+    blank = Region(None, np.zeros((0, 2), np.float32), mask & False)
+    assert blank.tight_box_xyxy is None
+    assert blank.any_box_xyxy is None
+    own = np.array([0, 0, 9, 9], np.float32)
+    assert Region(own, np.zeros((0, 2), np.float32), mask).any_box_xyxy is own
 
 
 def test_cached_steps_cost_nothing() -> None:

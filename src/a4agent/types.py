@@ -141,6 +141,11 @@ class Region:
         """The box (4,) float32 around the mask's pixels, None for a blank mask."""
         return tight_box(self.mask)
 
+    @property
+    def any_box_xyxy(self) -> np.ndarray | None:
+        """The box (4,) float32: its own, else the tight one around the mask; None for a blank mask without a box."""
+        return self.tight_box_xyxy if self.box_xyxy is None else self.box_xyxy
+
 
 @dataclass(frozen=True, eq=False)
 class Query:

@@ -26,26 +26,9 @@ from a4agent.plugins import Plugins, keywords_of
 Factory = Callable[..., Benchmark]
 
 plugins = Plugins("a4agent.benchmarks", "benchmark")
-
-
-def register(name: str, factory: Factory) -> None:
-    """Add a benchmark for this process, without packaging. Replaces one of the same name."""
-    plugins.register(name, factory)
-
-
-def names() -> list[str]:
-    """The names of all registered benchmarks."""
-    return plugins.names()
-
-
-def factory_of(name: str) -> Factory:
-    """The function that opens a benchmark.
-
-    Raises:
-        UnknownNameError: the name is not registered; the message suggests the nearest.
-        ConfigError: its module cannot be imported.
-    """
-    return plugins.find(name)
+register, names = plugins.register, plugins.names
+factory_of: Callable[[str], Factory] = plugins.find
+"""The function that opens the benchmark of a name; see `Plugins.find` for its errors."""
 
 
 def maker_of(name: str) -> Callable[..., Path]:

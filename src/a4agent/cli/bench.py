@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from a4agent.agent import A4Agent
     from a4agent.config import Settings
     from a4agent.runs.bench import Bench, Progress
+    from a4agent.runs.published import System
     from a4agent.runs.store import Run
-    from a4agent.runs.suites import System
     from a4agent.types import Status
 
 SHOWN = 5
@@ -83,7 +83,7 @@ def bench(
     from a4agent.runs import scores
     from a4agent.runs.bench import Bench, Selection
     from a4agent.runs.oracle import oracle_of
-    from a4agent.runs.suites import load_suite
+    from a4agent.runs.published import load_suite
     from a4agent.runs.tables import fill
 
     limits = {

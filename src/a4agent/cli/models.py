@@ -32,8 +32,10 @@ def list_models(
     names: NamesArgument = None, profile: ProfileOption = None, sets: SetOption = None, as_json: JsonOption = False
 ) -> None:
     """Say which models there are or a profile needs: size, licence, gating, and what is on this disk."""
+    from a4agent import requirements
+
     chosen = _with_profile(names, profile)
-    found = _needs(chosen, sets) if chosen else _catalogue()
+    found = _needs(chosen, sets) if chosen else [requirements.need(name) for name in requirements.catalogue()]
     if as_json:
         common.print_json([_as_dict(need) for need in found])
     else:
@@ -61,7 +63,10 @@ def pull(
     if not missing:
         return
     sizes = {need: hub.download_bytes(need.name, need.revision, need.file) for need in missing}
-    _announce(sizes)
+    for need, size in sizes.items():
+        place = f" ({need.file})" if need.file else ""
+        say(f"{need.name}{place}: {size / 1e9:.2f} GB; {need.terms}")
+    say(f"{sum(sizes.values()) / 1e9:.2f} GB to fetch")
     _check_room(sum(sizes.values()))
     if not yes and sys.stdin.isatty() and not typer.confirm("Fetch them?", default=True, err=True):
         raise typer.Exit(common.USAGE)
@@ -122,10 +127,7 @@ def _named(names: list[str], sets: list[str] | None) -> list[Need]:
 
 def _needs(names: list[str], sets: list[str] | None) -> list[Need]:
     """The checkpoints behind names, each once."""
-    found: dict[tuple[str, str, str | None], Need] = {}
-    for name in names:
-        for need in _needs_of(name, sets):
-            found.setdefault((need.name, need.file, need.revision), need)
+    found = {(need.name, need.file, need.revision): need for name in names for need in _needs_of(name, sets)}
     return list(found.values())
 
 
@@ -143,12 +145,6 @@ def _needs_of(name: str, sets: list[str] | None) -> list[Need]:
     except ModelFilesError as error:
         known = [*profile_names(), *requirements.catalogue()]
         raise UnknownNameError.of("profile or model", name, known) from error
-
-
-def _catalogue() -> list[Need]:
-    from a4agent import requirements
-
-    return [requirements.need(name) for name in requirements.catalogue()]
 
 
 def _as_dict(need: Need) -> dict[str, Any]:
@@ -197,13 +193,6 @@ def _advise(console: Console, needs: list[Need]) -> None:
         console.print("[dim]to pin what is here, give the expert the setting revision:[/]")
     for need in pinned:
         console.print(f'[dim]  {need.name}  revision = "{need.commit}"[/]')
-
-
-def _announce(sizes: dict[Need, int]) -> None:
-    for need, size in sizes.items():
-        place = f" ({need.file})" if need.file else ""
-        say(f"{need.name}{place}: {size / 1e9:.2f} GB; {need.terms}")
-    say(f"{sum(sizes.values()) / 1e9:.2f} GB to fetch")
 
 
 def _check_room(needed: int) -> None:

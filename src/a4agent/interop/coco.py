@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from a4agent.imaging.masks import encode_rle
-from a4agent.types import Affordance, Region
+from a4agent.types import Affordance
 
 VISIBLE = 2
 
@@ -26,7 +26,8 @@ def to_coco(
     """
     annotations: list[dict[str, Any]] = []
     for number, region in enumerate(affordance.regions):
-        x0, y0, x1, y1 = _box(region)
+        box = region.any_box_xyxy
+        x0, y0, x1, y1 = [0.0] * 4 if box is None else map(float, box)
         points = np.round(region.points_xy.reshape(-1, 2).astype(np.float64), 2)
         annotation: dict[str, Any] = {
             "id": first_id + number,
@@ -43,8 +44,3 @@ def to_coco(
             annotation["score"] = float(region.score)
         annotations.append(annotation)
     return annotations
-
-
-def _box(region: Region) -> list[float]:
-    box = region.box_xyxy if region.box_xyxy is not None else region.tight_box_xyxy
-    return [0.0, 0.0, 0.0, 0.0] if box is None else [float(edge) for edge in box]

@@ -8,6 +8,7 @@ log_plan(plan_action(affordance, depth=depth, camera=intrinsics))   # contacts t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -28,20 +29,16 @@ def log(affordance: Affordance, path: str = "affordance", recording: Any = None)
     Raises:
         MissingExtraError: rerun is not installed.
     """
-    rr = require("rerun", extra="rerun")
-
-    def put(name: str, value: Any) -> None:
-        rr.log(f"{path}/{name}", value, recording=recording)
-
+    rr, put = _logger(path, recording)
     put("", rr.Clear(recursive=True))
     imagination = affordance.imagination
-    name = affordance.phrase
     if affordance.image is not None:
         put("image", rr.Image(np.asarray(affordance.image)))
     put("image/mask", rr.SegmentationImage(affordance.mask.astype(np.uint8), opacity=0.5))
     boxes = affordance.boxes_xyxy
     if len(boxes):
-        put("image/boxes", rr.Boxes2D(array=boxes, array_format=rr.Box2DFormat.XYXY, labels=[name] * len(boxes)))
+        labels = [affordance.phrase] * len(boxes)
+        put("image/boxes", rr.Boxes2D(array=boxes, array_format=rr.Box2DFormat.XYXY, labels=labels))
     if len(affordance.points_xy):
         put("image/points", rr.Points2D(affordance.points_xy, radii=4.0, colors=COLOUR))
     if imagination and imagination.image is not None:
@@ -55,20 +52,19 @@ def log_lifted(lifted: Lifted, path: str = "affordance/lifted", recording: Any =
     Raises:
         MissingExtraError: rerun is not installed.
     """
-    rr = require("rerun", extra="rerun")
-    rr.log(path, rr.Clear(recursive=True), recording=recording)
+    rr, put = _logger(path, recording)
+    put("", rr.Clear(recursive=True))
     for number, region in enumerate(lifted.regions):
-        entity = f"{path}/{number}"
-        rr.log(f"{entity}/cloud", rr.Points3D(region.cloud_xyz), recording=recording)
+        put(f"{number}/cloud", rr.Points3D(region.cloud_xyz))
         points = region.points_xyz[np.isfinite(region.points_xyz).all(1)]
-        rr.log(f"{entity}/points", rr.Points3D(points, radii=0.004, colors=COLOUR), recording=recording)
+        put(f"{number}/points", rr.Points3D(points, radii=0.004, colors=COLOUR))
         if region.frame.measured:
             arrows = rr.Arrows3D(
                 origins=[region.frame.origin] * 3,
                 vectors=region.frame.rotation.T * 0.05,
                 colors=[(255, 0, 0), (0, 255, 0), (0, 0, 255)],
             )
-            rr.log(f"{entity}/frame", arrows, recording=recording)
+            put(f"{number}/frame", arrows)
 
 
 def log_plan(plan: ActionPlan, path: str = "affordance", recording: Any = None) -> None:
@@ -77,11 +73,7 @@ def log_plan(plan: ActionPlan, path: str = "affordance", recording: Any = None) 
     Raises:
         MissingExtraError: rerun is not installed.
     """
-    rr = require("rerun", extra="rerun")
-
-    def put(name: str, value: Any) -> None:
-        rr.log(f"{path}/{name}", value, recording=recording)
-
+    rr, put = _logger(path, recording)
     for name in ("image/contacts", "contacts", "grasps"):
         put(name, rr.Clear(recursive=True))
     labels = [str(rank + 1) for rank in range(len(plan.contacts))]
@@ -99,6 +91,12 @@ def log_plan(plan: ActionPlan, path: str = "affordance", recording: Any = None) 
         put("contacts", arrows)
     for rank, grasp in enumerate(plan.grasps):
         put(f"grasps/{rank}", rr.LineStrips3D(gripper_lines(grasp), radii=0.001, colors=GRIPPER))
+
+
+def _logger(path: str, recording: Any) -> tuple[Any, Callable[[str, Any], None]]:
+    """The library, and a function that logs a value below the entity `path`."""
+    rr = require("rerun", extra="rerun")
+    return rr, lambda name, value: rr.log(f"{path}/{name}", value, recording=recording)
 
 
 def _story(affordance: Affordance) -> str:

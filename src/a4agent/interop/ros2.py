@@ -40,10 +40,9 @@ def detection_2d_array(affordance: Affordance, *, frame_id: str = "camera", stam
     detections: list[Message] = []
     at_origin = _pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
     for number, region in enumerate(affordance.regions):
-        box = region.box_xyxy if region.box_xyxy is not None else region.tight_box_xyxy
-        if box is None:
+        if region.any_box_xyxy is None:
             continue
-        x0, y0, x1, y1 = (float(edge) for edge in box)
+        x0, y0, x1, y1 = (float(edge) for edge in region.any_box_xyxy)
         detections.append(
             {
                 "header": header(frame_id, stamp),

@@ -28,15 +28,14 @@ def to_supervision(affordance: Affordance) -> Any:
     sv = require("supervision", extra="interop")
     regions = affordance.regions
     width, height = affordance.size_wh
-    name = affordance.phrase
-    boxes = [region.box_xyxy if region.box_xyxy is not None else region.tight_box_xyxy for region in regions]
+    boxes = [np.zeros(4) if region.any_box_xyxy is None else region.any_box_xyxy for region in regions]
     points = np.empty(len(regions), dtype=object)
     points[:] = [region.points_xy for region in regions]
     scores = [region.score for region in regions if region.score is not None]
     return sv.Detections(
-        xyxy=np.array([np.zeros(4) if box is None else box for box in boxes], np.float32).reshape(-1, 4),
+        xyxy=np.array(boxes, np.float32).reshape(-1, 4),
         mask=np.array([region.mask for region in regions], bool).reshape(len(regions), height, width),
         confidence=np.array(scores, np.float32) if len(scores) == len(regions) else None,
         class_id=np.zeros(len(regions), int),
-        data={"class_name": np.full(len(regions), name), "points_xy": points},
+        data={"class_name": np.full(len(regions), affordance.phrase), "points_xy": points},
     )

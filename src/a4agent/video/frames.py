@@ -10,10 +10,10 @@ A video that is cut off ends the iteration early, with the reason in `frames.end
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,18 +30,25 @@ TINT = np.array([255, 61, 127], np.float32)
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first file is opened; errors are reported here
 
 
-class Frames(Protocol):
+class Frames(ABC):
     """An open source of frames; iterate once. `count` is None where it is unknown."""
 
-    rate: float
-    count: int | None
-    ended_early: str
+    def __init__(self, rate: float, count: int | None) -> None:
+        self.rate = rate
+        self.count = count
+        self.ended_early = ""
 
+    @abstractmethod
     def __iter__(self) -> Iterator[tuple[int, Image]]: ...
-    def __enter__(self) -> Frames: ...
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+
+    def __enter__(self) -> Frames:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        return None
 
 
 def open_frames(source: str | Path) -> Frames:
@@ -70,27 +77,7 @@ def open_frames(source: str | Path) -> Frames:
     return _Capture(name, str(path))
 
 
-class _Source:
-    """What both kinds of source share."""
-
-    def __init__(self, rate: float, count: int | None) -> None:
-        self.rate = rate
-        self.count = count
-        self.ended_early = ""
-
-    def __enter__(self) -> Any:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        return None
-
-
-class _Folder(_Source):
+class _Folder(Frames):
     def __init__(self, images: Sequence[Path]) -> None:
         super().__init__(FOLDER_RATE, len(images))
         self._images = images
@@ -104,7 +91,7 @@ class _Folder(_Source):
                 return
 
 
-class _Capture(_Source):
+class _Capture(Frames):
     """OpenCV's decoder; a camera is a capture that never ends."""
 
     def __init__(self, name: str, source: str | int) -> None:
