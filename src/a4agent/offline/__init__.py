@@ -8,6 +8,10 @@ A stand-in with limits: it does not recognise objects, and looks at one object p
 
 from __future__ import annotations
 
+import hashlib
+from functools import cache
+from pathlib import Path
+
 from a4agent.errors import ConfigError, UnknownNameError
 from a4agent.protocols import Expert, Role
 
@@ -43,3 +47,13 @@ def create(model: str, role: Role, *, threads: int = 0) -> Expert:
         return OfflineSegmenter(threads=threads)
     plays = "a vlm" if model == "reasoner" else "a detector or a segmenter"
     raise ConfigError(f"'offline:{model}' can be {plays}, not {role!r}")
+
+
+@cache
+def revision() -> str:
+    """Sixteen hexadecimal digits over the files of this folder, so that no cache gives an older version's answer."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.iterdir()):
+        if path.suffix in (".py", ".toml", ".txt", ".onnx"):
+            digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]

@@ -166,7 +166,7 @@ class _Decider(Situation):
         tool = self._reached_for()
         for thing in (*self.seen, *((tool[0],) if tool else ())):
             if thing.part_named(part.part or ""):
-                return Noun(thing.name, 0, 0, thing=thing)
+                return noun_of(thing)
         if any(n.thing for n in candidates) and part.role == "place":
             return None
         return Noun("object", 0, 0, pronoun=True)
@@ -206,7 +206,7 @@ class _Decider(Situation):
         for action in (other for one in wanted for other in INSTEAD.get(one, ())):
             if part := self._part(thing, action):
                 return decision(owner, part, action, f"For that, use the {part.name} of the {owner.name}.")
-        part = next((part for part in thing.parts if part.affords and "grasp" not in part.affords), thing.parts[0])
+        part = thing.working_part
         return decision(owner, part, "use", f"That is the {part.name} of the {owner.name}.")
 
     def _sense(self, word: str) -> tuple[str, ...]:
@@ -233,7 +233,7 @@ class _Decider(Situation):
         if not tool and any(n.definite and not n.pronoun for n in self._own_nouns if not n.part and not n.generic):
             return self._guess()
         if tool and (part := self._part(tool[0], "grasp")):
-            return held(Noun(tool[0].name, 0, 0, thing=tool[0]), part)
+            return held(noun_of(tool[0]), part)
         return self._of_anything("grasp", "hold it")
 
     # ---- a thing that is named
@@ -287,7 +287,7 @@ class _Decider(Situation):
             )
         noun = candidates[0]
         if noun.role == "tool" and noun.thing and verbs:  # nobody sweeps with a rake, but it would be with its head
-            part = next((p for p in noun.thing.parts if p.affords and "grasp" not in p.affords), noun.thing.parts[0])
+            part = noun.thing.working_part
             return decision(noun, part, verbs[0].actions[0], used_for(verbs[0], noun, part))
         if not verbs and noun.thing and _SHUT & set(self.reading.words) and (part := self._part(noun.thing, "open")):
             return decision(noun, part, "open", f"To open the {noun.name}, use the {part.name}.")

@@ -11,10 +11,10 @@ import numpy as np
 
 from a4agent.errors import A4Error
 from a4agent.imaging.masks import deepest_point, tight_box
+from a4agent.offline import revision
 from a4agent.offline.choice import choose
 from a4agent.offline.eye import forget, look
 from a4agent.offline.phrases import wanted
-from a4agent.offline.revision import revision
 from a4agent.protocols import DetectRequest, ExpertBase
 from a4agent.types import Detection
 

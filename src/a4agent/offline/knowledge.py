@@ -63,6 +63,10 @@ class KnownPart:
     also: tuple[str, ...] = ()
     map: str | None = None
 
+    def is_called(self, *stems: tuple[str, ...]) -> bool:
+        """Whether one of these stems is the part's name or another name of it."""
+        return any(stem(known) in stems for known in (self.name, *self.also))
+
 
 @dataclass(frozen=True)
 class KnownThing:
@@ -81,15 +85,18 @@ class KnownThing:
 
     def part_named(self, name: str) -> KnownPart | None:
         """The part of this name or with this other name, in the singular or the plural."""
-        for part in self.parts:
-            if name == part.name or name in part.also:
-                return part
+        exact = next((part for part in self.parts if name == part.name or name in part.also), None)
         key = stem(name)
-        return next((part for part in self.parts if key in [stem(known) for known in (part.name, *part.also)]), None)
+        return exact or next((part for part in self.parts if part.is_called(key)), None)
 
     def part_for(self, action: str) -> KnownPart | None:
         """The first part that affords `action`."""
         return next((part for part in self.parts if action in part.affords), None)
+
+    @property
+    def working_part(self) -> KnownPart:
+        """The first part that does something and is not held, such as a blade; the first of all if there is none."""
+        return next((part for part in self.parts if part.affords and "grasp" not in part.affords), self.parts[0])
 
 
 @dataclass(frozen=True)

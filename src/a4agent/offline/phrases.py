@@ -161,7 +161,7 @@ def _part(name: str, thing: KnownThing | None) -> Wanted:
     whole = _whole(thing) if thing else Wanted("whole")
     for start in range(len(stems)):  # "the left handle" is a handle
         for part in thing.parts if thing else ():
-            if stems[start:] in {stem(known) for known in (part.name, *part.also)}:
+            if part.is_called(stems[start:]):
                 return replace(whole, shape=part.shape, part=part.map or _PART_MAPS[part.shape])
         if stems[start:] in _STEMMED:
             shape = _STEMMED[stems[start:]]

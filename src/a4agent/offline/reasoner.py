@@ -14,9 +14,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from a4agent.errors import A4Error, RefusedAnswer, UnreadableAnswer
-from a4agent.offline import eye
+from a4agent.offline import eye, revision
 from a4agent.offline.decisions import decide
-from a4agent.offline.revision import revision
 from a4agent.offline.wording import Decision
 from a4agent.protocols import ChatAnswer, ChatRequest, ExpertBase
 

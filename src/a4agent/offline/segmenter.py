@@ -12,10 +12,10 @@ import numpy as np
 
 from a4agent.errors import A4Error, require
 from a4agent.imaging.masks import tight_box
+from a4agent.offline import revision
 from a4agent.offline.choice import regions
 from a4agent.offline.colour import to_lab
 from a4agent.offline.eye import SeenObject, forget, look
-from a4agent.offline.revision import revision
 from a4agent.offline.silhouette import cut_out
 from a4agent.protocols import ExpertBase, Prompt, Segmentation, SegmentRequest
 

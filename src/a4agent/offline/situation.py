@@ -75,10 +75,8 @@ class Situation:
     def _part(self, thing: KnownThing, action: str) -> KnownPart | None:
         """The part that affords an action and is not ruled out; for a hand, any part that does not cut."""
         ruled_out = {stem(noun.part) for noun in self.reading.unwanted if noun.part}
-        ruled_out_actions = (
-            set(self.reading.unwanted_actions) - BY_HAND if self.reading.unwanted_actions else set[str]()
-        )
-        banned = {part.name for part in thing.parts if ruled_out & {stem(name) for name in (part.name, *part.also)}}
+        ruled_out_actions = set(self.reading.unwanted_actions) - BY_HAND
+        banned = {part.name for part in thing.parts if part.is_called(*ruled_out)}
         banned |= {
             part.name for part in thing.parts if ruled_out_actions & set(part.affords) and "grasp" not in part.affords
         }
@@ -202,5 +200,5 @@ class Situation:
             done & set(part.affords)
             for thing in self.know.objects.values()
             for part in thing.parts
-            if stem(name) in {stem(known) for known in (part.name, *part.also)}
+            if part.is_called(stem(name))
         )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -56,16 +56,16 @@ def in_english(text: str) -> str | None:
     english = sum(_is_english(word) for word in said)
     if english >= 0.8 * len(said) and plain == text:
         return text
-    best = max(_languages(), key=lambda language: _known(said, language))
-    known = _known(said, best)
+    best = max(_languages(), key=lambda language: _count_known(said, language))
+    known = _count_known(said, best)
     if known <= english:
         return text if english >= 0.3 * len(said) else None
     if known < _ENOUGH * len(said):
         return None
     for pattern, frame in best.frames:
         plain = re.sub(pattern, frame, plain)
-    english_text = _translated(re.findall(r"[a-z0-9]+(?:-[a-z0-9]+)*|[,;:.!?]", plain), best)
-    return _ADJECTIVE_LAST.sub(r"\2 \1", english_text)
+    phrases = _phrases(re.findall(r"[a-z0-9]+(?:-[a-z0-9]+)*|[,;:.!?]", plain), best)
+    return _ADJECTIVE_LAST.sub(r"\2 \1", " ".join(best.words.get(phrase, phrase[0]) for phrase in phrases))
 
 
 def _without_accents(text: str) -> str:
@@ -79,35 +79,15 @@ def _is_english(word: str) -> bool:
     return word in common_words() or word in knowledge().written or stem(word) in knowledge().action_index
 
 
-def _known(said: Sequence[str], language: _Language) -> int:
-    return sum(length for _, length in _matches(said, language) if length)
+def _count_known(said: Sequence[str], language: _Language) -> int:
+    return sum(len(phrase) for phrase in _phrases(said, language) if phrase in language.words)
 
 
-def _translated(said: Sequence[str], language: _Language) -> str:
-    return " ".join(english if length else said[at] for at, (english, length) in _placed(said, language))
-
-
-def _placed(said: Sequence[str], language: _Language) -> list[tuple[int, tuple[str, int]]]:
-    placed: list[tuple[int, tuple[str, int]]] = []
-    at = 0
-    for english, length in _matches(said, language):
-        placed.append((at, (english, length)))
-        at += max(length, 1)
-    return placed
-
-
-def _matches(said: Sequence[str], language: _Language) -> list[tuple[str, int]]:
-    """For each step through the words, the English for the longest known phrase and its length; 0 if unknown."""
-    found: list[tuple[str, int]] = []
+def _phrases(said: Sequence[str], language: _Language) -> Iterator[tuple[str, ...]]:
+    """The words cut into the longest phrases that the language's table holds; a word that it lacks stands alone."""
     at = 0
     while at < len(said):
-        for length in (4, 3, 2, 1):
-            phrase = tuple(said[at : at + length])
-            if len(phrase) == length and phrase in language.words:
-                found.append((language.words[phrase], length))
-                at += length
-                break
-        else:
-            found.append(("", 0))
-            at += 1
-    return found
+        phrases = (tuple(said[at : at + length]) for length in (4, 3, 2, 1))
+        phrase = next((phrase for phrase in phrases if phrase in language.words), (said[at],))
+        yield phrase
+        at += len(phrase)
