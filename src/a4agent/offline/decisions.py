@@ -102,21 +102,18 @@ class _Decider(Situation):
                 continue
             if noun.role in ("place", "goal") and any(n.role == "object" and n.thing for n in nouns[:place]) and owner:
                 continue
-            if owner is None and (self._is_remark(noun) or (noun.role == "tool" and self._things)):
-                continue
-            if owner is None and not self._part_is_meant(noun, nouns[:place]):
-                continue
             if owner is None:
-                owner = self._owner_of(noun, nouns[:place], nouns[place + 1 :])
+                if self._is_remark(noun) or (noun.role == "tool" and self._things):
+                    continue
+                meant = self._part_is_meant(noun, nouns[:place])
+                owner = self._owner_of(noun, nouns[:place], nouns[place + 1 :]) if meant else None
             if owner is None:
                 continue
             if handle := self._handle_instead(noun, owner):
-                return decision(
-                    owner, handle, "open", f"To move the {noun.text}, use the {handle.name} of the {owner.name}."
-                )
-            name = owner.name
-            why = f"The instruction itself names the {noun.name} of the {name}."
-            return Decision(name, noun.name, why, self._action or "use")
+                why = f"To move the {noun.text}, use the {handle.name} of the {owner.name}."
+                return decision(owner, handle, "open", why)
+            why = f"The instruction itself names the {noun.name} of the {owner.name}."
+            return Decision(owner.name, noun.name, why, self._action or "use")
         return None
 
     def _handle_instead(self, noun: Noun, owner: Noun) -> KnownPart | None:
@@ -183,11 +180,8 @@ class _Decider(Situation):
         sense = [action for word in self.reading.words for action in self._sense(word)]
         sense += [action for word in described for action in self.know.action_index.get(stem(word), ())]
         if owner is None or owner.thing is None:
-            if owner and not owner.pronoun and owner.part is None:  # a thing nobody knows
-                return None
-            if sense:
-                return self._of_anything(sense[0], sense[0])
-            return None
+            unknown = owner and not owner.pronoun and owner.part is None
+            return self._of_anything(sense[0], sense[0]) if sense and not unknown else None
         thing = owner.thing
         if self._is_to_hold_something():
             wanted = ["contain", *wanted]
@@ -200,9 +194,8 @@ class _Decider(Situation):
         for action in wanted:
             rim = thing.part_named("rim") if action == "drink" else None
             if part := rim or self._part(thing, action):
-                return decision(
-                    owner, part, action, f"To {self._spoken(action)}, use the {part.name} of the {owner.name}."
-                )
+                why = f"To {self._spoken(action)}, use the {part.name} of the {owner.name}."
+                return decision(owner, part, action, why)
         for action in (other for one in wanted for other in INSTEAD.get(one, ())):
             if part := self._part(thing, action):
                 return decision(owner, part, action, f"For that, use the {part.name} of the {owner.name}.")
@@ -279,12 +272,8 @@ class _Decider(Situation):
                     return found
         wish = self._wished()
         if wish and (part := self._part(*wish)):
-            return decision(
-                noun_of(wish[0]),
-                part,
-                wish[1],
-                f"{with_article(wish[0].name).capitalize()} would help: use the {part.name}.",
-            )
+            why = f"{with_article(wish[0].name).capitalize()} would help: use the {part.name}."
+            return decision(noun_of(wish[0]), part, wish[1], why)
         noun = candidates[0]
         if noun.role == "tool" and noun.thing and verbs:  # nobody sweeps with a rake, but it would be with its head
             part = noun.thing.working_part
@@ -310,25 +299,17 @@ class _Decider(Situation):
         if not self.seen and (self._reached_for() or self._asks_for_a_tool):
             return None
         verbs = self.reading.verbs
-        bare = (
-            not self.reading.nouns and len(self.reading.words) == 1 and bool(verbs) and verbs[0].actions[0] in BY_HAND
-        )
-        points = (
-            bare
-            or emits
-            or any(n.pronoun or n.generic for n in self.reading.nouns)
-            or (not self.reading.nouns and self._asks)
-        )
-        if not points:
+        nouns, words = self.reading.nouns, self.reading.words
+        bare = not nouns and len(words) == 1 and bool(verbs) and verbs[0].actions[0] in BY_HAND
+        points = any(n.pronoun or n.generic for n in nouns) or (not nouns and self._asks)
+        if not (bare or emits or points):
             return None
         sense = [action for word in self.reading.words for action in self._sense(word)]
         if sense and not verbs:  # "where is it sharp?"
             return self._of_anything(sense[0], sense[0])
-        for verb in self.reading.verbs:
-            if verb.actions[0] == "grasp" and len(self.reading.verbs) > 1 and verb is self.reading.verbs[0]:
-                later = self.reading.verbs[1]
-                if self.reading.nouns and any(n.generic for n in self.reading.nouns) and not later.purpose:
-                    continue
+        if len(verbs) > 1 and verbs[0].actions[0] == "grasp" and not verbs[1].purpose and any(n.generic for n in nouns):
+            verbs = verbs[1:]
+        for verb in verbs:
             actions = _actions_on(goal, verb) if goal else verb.actions
             if found := self._of_anything(actions[0], verb.base if actions == verb.actions else actions[0], actions):
                 return found
@@ -339,22 +320,16 @@ class _Decider(Situation):
         for thing in self.seen:
             for one in (*(actions or (action,)), *INSTEAD.get(action, ())):
                 if part := self._part(thing, one):
-                    return decision(
-                        noun_of(thing),
-                        part,
-                        one,
-                        f"I see {with_article(thing.name)}: to {self._spoken(one)}, use the {part.name}.",
-                    )
+                    why = f"I see {with_article(thing.name)}: to {self._spoken(one)}, use the {part.name}."
+                    return decision(noun_of(thing), part, one, why)
         usual = self.know.usual_part.get(stem(spoken)) or self.know.usual_part.get(stem(action))
         noun = next((n for n in self.reading.nouns if n.pronoun), Noun("object", 0, 0, pronoun=True))
         name = " ".join((*noun.qualifiers, "object"))
         if usual and not _PART_FOR.search(self.reading.text):
-            return Decision(
-                name, usual, f"No thing is named; most things have {with_article(usual)} to {spoken}.", action, False
-            )
-        return Decision(
-            name, f"part that can {action}", f"No thing is named, so the part that can {action} is looked for.", action
-        )
+            why = f"No thing is named; most things have {with_article(usual)} to {spoken}."
+            return Decision(name, usual, why, action, sure=False)
+        part = f"part that can {action}"
+        return Decision(name, part, f"No thing is named, so the {part} is looked for.", action)
 
     # ---- a tool for the job
 
@@ -369,9 +344,7 @@ class _Decider(Situation):
         part = tool and self._part(*tool)
         if not tool or not part:
             return None
-        thing, action = tool
-        why = self._tool_for(action, thing, part)
-        return decision(noun_of(thing), part, action, why)
+        return decision(noun_of(tool[0]), part, tool[1], self._tool_for(tool[1], tool[0], part))
 
     def _tool_for(self, action: str, thing: KnownThing, part: KnownPart) -> str:
         return f"To {self._spoken(action)}, use the {part.name} of {with_article(thing.name)}."

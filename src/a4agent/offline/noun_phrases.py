@@ -93,6 +93,9 @@ class Noun:
 _REMOVABLE = word_set("cap lid top cover cork stopper")
 _OF_PEOPLE = word_set("hand hands finger fingers thumb palm foot feet grip way time")
 """What is not in the picture as a thing to act on."""
+_TOOLS = word_set("tool instrument utensil")
+_PRONOUN_NOUNS = word_set("one ones thing things stuff object item tool gadget device") | {""}
+"""Nouns that name no kind of thing; "" is a phrase of qualifiers alone."""
 _OF_BODIES = word_set(
     "mouth lip lips head neck arm arms leg legs back face teeth foot feet ear ears nose hair hairs shoulder"
 )
@@ -174,26 +177,22 @@ def _phrase(words: list[str], start: int, in_verb: set[int], know: Knowledge) ->
         end += 1
     if "back" in words[index + 1 : end]:  # "put the lid back on"
         end = words.index("back", index + 1)
-    run = list(words[index:end])
+    run = words[index:end]
     after = words[start + 1] if start + 1 < len(words) else "."
     if words[start] == "that" and (start + 1 in in_verb or after in BEFORE_VERBS - MARKS or after in {"has", "can"}):
         return None  # "the mug that is blue"
-    if words[start:index] == [] and run == [] and words[start] in {"something", "anything"}:
+    if index == start and not run and words[start] in {"something", "anything"}:
         return None
     if run == ["one"] and (end in in_verb or not definite):  # "where does one sit"
         return None
     if not run:
-        single = words[start : start + 1]
-        if (index > start and single[0] in _PRONOUNS) or (single[0] in _PRONOUNS and index == start):
-            return Noun("object", start, max(index, start + 1), definite=True, pronoun=True)
-        return None
+        alone = Noun("object", start, max(index, start + 1), definite=True, pronoun=True)
+        return alone if words[start] in _PRONOUNS else None
     for place, word in enumerate(run):
         if word.endswith(("'s", "s'")):
             owner = _named(run[: place + 1], index, True, know, possessive=True)
             rest = _named(run[place + 1 :], index + place + 1, True, know)
-            if rest is None:
-                return owner
-            return replace(rest, owner=owner, start=start) if owner else replace(rest, start=start)
+            return replace(rest, owner=owner or rest.owner, start=start) if rest else owner
     noun = _named(run, index, definite, know, asked=bool({"which", "what"} & set(words[start:index])))
     if noun and noun.part in _OF_BODIES and not noun.thing and {"my", "your", "his", "her"} & set(words[start:index]):
         return None
@@ -242,19 +241,12 @@ def _named(
         for word in words
         if word not in QUALIFIERS and word not in ("far", "very") and not (word.endswith("ly") and len(word) > 4)
     ]
-    if not kept or kept[-1] in _OF_PEOPLE:
-        return (
-            None
-            if kept
-            else Noun("object", at, at + len(words), pronoun=True, qualifiers=_qualifiers(words), definite=article)
-        )
-    if kept[-1] in {"tool", "instrument", "utensil"} and not article:
+    last = kept[-1] if kept else ""
+    if last in _OF_PEOPLE or (last in _TOOLS and not article):
         return None
-    if kept[-1] in {"one", "ones", "thing", "things", "stuff", "object", "item", "tool", "gadget", "device"}:
-        return Noun("object", at, at + len(words), pronoun=True, qualifiers=_qualifiers(words), definite=article)
-    if kept[-1] in GENERIC_PARTS and not article:
-        return Noun(" ".join(kept[:4]), at, at + len(words), qualifiers=_qualifiers(words))
-    return Noun(" ".join(kept[:4]), at, at + len(words), qualifiers=_qualifiers(words), definite=article)
+    pronoun = last in _PRONOUN_NOUNS
+    text = "object" if pronoun else " ".join(kept[:4])
+    return Noun(text, at, at + len(words), qualifiers=_qualifiers(words), definite=article, pronoun=pronoun)
 
 
 def _part_of(words: Sequence[str], thing: Mention[KnownThing], start: int, end: int, at: int) -> Noun:

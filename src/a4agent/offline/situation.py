@@ -77,9 +77,7 @@ class Situation:
         ruled_out = {stem(noun.part) for noun in self.reading.unwanted if noun.part}
         ruled_out_actions = set(self.reading.unwanted_actions) - BY_HAND
         banned = {part.name for part in thing.parts if part.is_called(*ruled_out)}
-        banned |= {
-            part.name for part in thing.parts if ruled_out_actions & set(part.affords) and "grasp" not in part.affords
-        }
+        banned |= {p.name for p in thing.parts if ruled_out_actions & set(p.affords) and "grasp" not in p.affords}
         able = [p for p in thing.parts if action in p.affords and p.name not in banned]
         purposes = {one for verb in self.reading.verbs if verb.purpose for one in verb.actions}
         part = next((p for p in able if purposes & set(p.affords)), able[0] if able else None)
@@ -131,33 +129,26 @@ class Situation:
 
     def _by_verb_alone(self) -> tuple[KnownThing, str] | None:
         """What is reached for to do such a thing to anything."""
-        for verb in self.reading.verbs:
-            for action in verb.actions:
-                for name in self.know.default_index.get(action, ()):
-                    return self.know.objects[name], action
-        return None
+        return next((tool for verb in self.reading.verbs for tool in self._usual_tools(verb)), None)
+
+    def _usual_tools(self, verb: Verb) -> list[tuple[KnownThing, str]]:
+        """What is usually taken to do what a verb may mean, and the action."""
+        names = ((name, action) for action in verb.actions for name in self.know.default_index.get(action, ()))
+        return [(self.know.objects[name], action) for name, action in names]
 
     def _wished(self) -> tuple[KnownThing, str] | None:
         """What helps someone who only says what is wrong: "the soup is cold". A verb still chooses the part."""
         for wish in self.know.wishes:
             if re.search(wish.says, self.reading.text):
                 thing = self.know.objects[wish.object]
-                asked = (
-                    a
-                    for verb in self.reading.verbs
-                    for a in verb.actions
-                    if a not in (wish.action, "grasp") and a in BY_HAND
-                )
-                return thing, next((action for action in asked if thing.part_for(action)), wish.action)
+                asked = (action for verb in self.reading.verbs for action in verb.actions if action in BY_HAND)
+                other = (action for action in asked if action not in (wish.action, "grasp"))
+                return thing, next((action for action in other if thing.part_for(action)), wish.action)
         return None
 
     def _part_of_a_usual_tool(self, verb: Verb) -> str | None:
         """The part of the tool that is usually taken for such a job: one stirs with the bowl of a spoon."""
-        tools = (
-            (self.know.objects[name], action)
-            for action in verb.actions
-            for name in self.know.default_index.get(action, ())
-        )
+        tools = self._usual_tools(verb)
         return next((part.name for thing, action in tools if (part := thing.part_for(action))), None)
 
     def _is_idea(self, noun: Noun) -> bool:
