@@ -8,8 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import pictures
 from a4agent.acting.contact import contact_points
+from a4agent.config import Settings
 from a4agent.errors import A4Error, ConfigError, DataError
+from a4agent.runs.bench import Bench
+from a4agent.runs.compare import compare
+from a4agent.runs.report import render
+from a4agent.runs.store import read_run
 from a4agent.sim.act import create, make_trials
 from a4agent.sim.act_tasks import TASKS, ActTask
 from a4agent.sim.act_trial import Trial
@@ -93,6 +99,30 @@ def test_the_true_part_succeeds_and_another_place_is_lost(trials: Path) -> None:
         assert missed["coverage"] == 0
         assert missed["lost: part"] == 1
         assert missed["contact cm"] > 5
+
+
+def test_a_run_goes_on_after_a_kill_and_its_report_shows_the_trials(trials: Path, tmp_path: Path) -> None:
+    scripted = {
+        "thinker": {"vlm": "scripted:vlm"},
+        "spotter": {"detector": "scripted:detector", "segmenter": "scripted:segmenter"},
+    }
+    settings = Settings.model_validate({"name": "scripted", **scripted})
+    work = Bench(create(trials), settings, oracle="segmenter", out=tmp_path / "run")
+    agent = pictures.agent()
+    with work.open(agent) as session:
+        next(iter(session))
+    first = read_run(tmp_path / "run")
+    assert len(first.records) == 1
+    run = work.run(agent)
+    assert len(run.records) == 2
+    for record in run.records.values():
+        assert record.measures["success"] == 1
+        assert {"frames", "animation"} <= set(record.pictures)
+        assert all((run.folder / name).is_file() for name in record.pictures.values())
+    page = render(run)
+    assert page.count('"animation": "') == 2
+    assert '"success": 1' in page
+    assert any(line.name == "success" and line.second == 1 for line in compare(run, run).lines())
 
 
 def test_an_empty_answer_fails_without_a_contact(trials: Path) -> None:

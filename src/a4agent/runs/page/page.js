@@ -124,6 +124,7 @@ function show(place) {
     image.src = address(name);
     image.alt = name === sample.frames ? "what happened, in frames" : "what happened, as an animation";
     pane(image, "what happened");
+    if (name === sample.frames) panes.at(-1).className = "strip";
   }
   if (closeUp(sample, aspect)[2] < .6 * sample.view[0]) {
     const near = document.createElement("canvas");
@@ -152,6 +153,8 @@ function facts(sample) {
   fact("checks", sample.checks.map((check) => `${check.value === null ? "   –" : check.value.toFixed(2)}  ${check.name}: ${check.note}`).join("\n"));
   fact("error", sample.error, "wrong");
   fact("category", [sample.category, ...Object.entries(sample.tags).map((pair) => pair.join(": "))].filter(Boolean).join(", "));
+  fact("measures", Object.entries(sample.measures).filter(([, value]) => value !== null)
+    .map(([name, value]) => `${name} ${Number.isInteger(value) ? value : value.toFixed(2)}`).join(", "));
   fact("part", sample.part);
   fact("thinking", sample.thinking);
   fact("took", `${sample.seconds.toFixed(2)} s` + (sample.cost ? `, $${sample.cost.toFixed(4)}` : ""));
