@@ -20,10 +20,10 @@ from PIL import Image
 from a4agent import A4Agent
 from a4agent.imaging.masks import iou
 from a4agent.sim.backend import mujoco
+from a4agent.sim.catalogue import built_in
 from a4agent.sim.draw import Drawn, draw_sample, plan_set
-from a4agent.sim.render import Studio
+from a4agent.sim.render import SceneRenderer
 from a4agent.sim.scene import EYE
-from a4agent.sim.things import built_in
 from a4agent.video.track import track
 from a4agent.video.trackers import FlowTracker
 
@@ -44,7 +44,7 @@ def circled(drawn: Drawn, count: int) -> Iterator[tuple[Image.Image, np.ndarray]
     eye = model.camera(EYE).id
     position, quaternion = model.cam_pos[eye].copy(), model.cam_quat[eye].copy()
     geoms = np.concatenate(list(scene.part_geoms.values()))
-    with Studio(scene, drawn.camera.wide_wh) as studio:
+    with SceneRenderer(scene, drawn.camera.wide_wh) as rendering:
         for number in range(count):
             angle = np.radians(DEGREES * number)
             turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
@@ -53,7 +53,7 @@ def circled(drawn: Drawn, count: int) -> Iterator[tuple[Image.Image, np.ndarray]
             model.cam_pos[eye] = scene.center + turn @ (position - scene.center)
             model.cam_quat[eye] = turned
             mujoco().mj_forward(model, scene.data)
-            yield Image.fromarray(studio.colour(drawn.camera)), np.isin(studio.ids(drawn.camera), geoms)
+            yield Image.fromarray(rendering.colour(drawn.camera)), np.isin(rendering.ids(drawn.camera), geoms)
 
 
 def sequences(count: int, frames: int) -> Iterator[Sequence]:

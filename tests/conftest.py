@@ -59,7 +59,7 @@ def simulator() -> None:
     from a4agent.errors import A4Error
     from a4agent.sim.assets import check_installed
     from a4agent.sim.backend import check_renderer
-    from a4agent.sim.things import built_in
+    from a4agent.sim.catalogue import built_in
 
     try:
         check_renderer()

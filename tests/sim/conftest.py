@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from a4agent.sim.catalogue import Catalogue, built_in
 from a4agent.sim.draw import Drawn, Plan, draw_sample
 from a4agent.sim.make import make_set
-from a4agent.sim.things import Catalogue, built_in
 
 
 @pytest.fixture(scope="session")

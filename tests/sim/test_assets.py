@@ -8,7 +8,7 @@ import pytest
 
 from a4agent.errors import DataError, MissingExtraError
 from a4agent.sim.assets import asset_path, check_installed, install_command
-from a4agent.sim.things import Catalogue, Package, built_in
+from a4agent.sim.catalogue import Catalogue, Package, built_in
 
 
 def _with(name: str, **changes: str) -> Catalogue:

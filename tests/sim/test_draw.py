@@ -9,10 +9,10 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from a4agent.errors import ConfigError, DataError
 from a4agent.sim import draw
 from a4agent.sim.backend import mujoco
+from a4agent.sim.catalogue import Catalogue
 from a4agent.sim.draw import LEAST_PIXELS, LEAST_VISIBLE, Drawn, Plan, draw_sample, plan_set
 from a4agent.sim.placing import CLEAR, bounds
 from a4agent.sim.scene import EYE
-from a4agent.sim.things import Catalogue
 
 NAMES = ["drawer", "sink cabinet", "dial"]
 

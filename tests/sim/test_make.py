@@ -17,9 +17,9 @@ from PIL import Image
 
 from a4agent.errors import ConfigError, DataError, MissingExtraError
 from a4agent.sim import make
+from a4agent.sim.catalogue import Catalogue
 from a4agent.sim.draw import LEAST_PIXELS, LEAST_VISIBLE
 from a4agent.sim.make import make_set
-from a4agent.sim.things import Catalogue
 
 
 def _pixels(path: Path) -> np.ndarray:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from a4agent.errors import DataError
+from a4agent.sim.catalogue import Catalogue, Part, Selector, Thing, built_in
 from a4agent.sim.draw import Drawn, Plan, draw_sample
 from a4agent.sim.placing import UNSEEN, bounds
 from a4agent.sim.scene import build_scene
-from a4agent.sim.things import Catalogue, Part, Selector, Thing, built_in
 
 
 def _build(catalogue: Catalogue, thing: Thing, **options: object) -> object:

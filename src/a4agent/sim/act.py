@@ -201,9 +201,9 @@ class TrialScorer:
             with Trial(BY_NAME[row.task], row.seed) as trial:
                 return trial.act(contact_xyz).success
         frames: list[np.ndarray] = []
-        with Trial(BY_NAME[row.task], row.seed) as trial, renderer(trial.model, FRAME_WH) as eye:
-            frames.append(trial.frame(eye))
-            success = trial.act(contact_xyz, lambda: frames.append(trial.frame(eye))).success
+        with Trial(BY_NAME[row.task], row.seed) as trial, renderer(trial.model, FRAME_WH) as rendering:
+            frames.append(trial.frame(rendering))
+            success = trial.act(contact_xyz, lambda: frames.append(trial.frame(rendering))).success
         chosen = np.unique(np.linspace(0, len(frames) - 1, FRAMES).round().astype(int))
         self.frames[row.id] = tuple(Image.fromarray(frames[i]) for i in chosen)
         return success

@@ -24,7 +24,7 @@ from a4agent.errors import DataError
 from a4agent.sim.act_tasks import ActTask
 from a4agent.sim.assets import asset_path
 from a4agent.sim.backend import mujoco, renderer
-from a4agent.sim.things import built_in
+from a4agent.sim.catalogue import built_in
 
 SIZE_WH = (640, 480)
 FOVY = 45.0
@@ -123,13 +123,13 @@ class Trial:
         camera.distance = max(float(np.linalg.norm(high - low)), 0.25) * self._rng.uniform(1.9, 2.5)
         camera.azimuth = 90 + self._rng.uniform(-30, 30)
         camera.elevation = -self._rng.uniform(20, 40)
-        with renderer(self.model, SIZE_WH) as eye:
-            image = self._render(eye, camera)
-            eye.enable_depth_rendering()
-            depth = self._render(eye, camera).astype(np.float32)
-            eye.disable_depth_rendering()
-            eye.enable_segmentation_rendering()
-            ids = self._render(eye, camera)[..., 0]
+        with renderer(self.model, SIZE_WH) as rendering:
+            image = self._render(rendering, camera)
+            rendering.enable_depth_rendering()
+            depth = self._render(rendering, camera).astype(np.float32)
+            rendering.disable_depth_rendering()
+            rendering.enable_segmentation_rendering()
+            ids = self._render(rendering, camera)[..., 0]
         thing = self._below(self.task.thing)
         part = [geom for geom in thing if self._is_part(int(geom))]
         if not part:
@@ -170,22 +170,22 @@ class Trial:
                     return Outcome(True, steps)
         return Outcome(False, steps)
 
-    def frame(self, eye: Any) -> np.ndarray:
+    def frame(self, rendering: Any) -> np.ndarray:
         """A picture (H, W, 3) of the scene and the arm from the side, by an open renderer."""
         camera = mujoco().MjvCamera()
         camera.lookat[:] = [self.at[0], 0.75, 0.15]
         camera.distance, camera.azimuth, camera.elevation = 1.3, 140, -25
-        eye.update_scene(self.data, camera, _options())
+        rendering.update_scene(self.data, camera, _options())
         for flag in (mujoco().mjtRndFlag.mjRND_SHADOW, mujoco().mjtRndFlag.mjRND_REFLECTION):
-            eye.scene.flags[flag] = 0  # both cost more than the rest of a small picture
-        return np.array(eye.render())
+            rendering.scene.flags[flag] = 0  # both cost more than the rest of a small picture
+        return np.array(rendering.render())
 
-    def _render(self, eye: Any, camera: Any) -> np.ndarray:
+    def _render(self, rendering: Any, camera: Any) -> np.ndarray:
         """A rendering without the arm: its geoms are moved to a group that is not drawn."""
         groups = self.model.geom_group.copy()
         self.model.geom_group[self._arm] = 5
-        eye.update_scene(self.data, camera, _options())
-        picture = np.array(eye.render())
+        rendering.update_scene(self.data, camera, _options())
+        picture = np.array(rendering.render())
         self.model.geom_group[:] = groups
         return picture
 
@@ -252,7 +252,7 @@ def _pose(camera: Any) -> np.ndarray:
     forward = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.cross(forward, [0, 0, 1])
     right = right / np.linalg.norm(right)
-    pose = np.eye(4)
+    pose = np.rendering(4)
     pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
     pose[:3, 3] = np.asarray(camera.lookat) - camera.distance * forward
     return pose

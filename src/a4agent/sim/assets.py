@@ -6,7 +6,7 @@ from importlib import metadata
 from pathlib import Path
 
 from a4agent.errors import DataError, MissingExtraError
-from a4agent.sim.things import Catalogue
+from a4agent.sim.catalogue import Catalogue
 
 
 def install_command(catalogue: Catalogue) -> str:

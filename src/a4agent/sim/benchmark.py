@@ -71,7 +71,7 @@ def missing() -> str:
     """What stands between this machine and `a4 data make sim`; "" if nothing does."""
     from a4agent.sim.assets import check_installed
     from a4agent.sim.backend import check_renderer
-    from a4agent.sim.things import built_in
+    from a4agent.sim.catalogue import built_in
 
     try:
         check_installed(built_in())

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from a4agent.errors import ConfigError, DataError
-from a4agent.sim import looks, sensor
-from a4agent.sim.render import Studio
+from a4agent.sim import appearance, sensor
+from a4agent.sim.catalogue import USES, Catalogue, Prop, Split, Task, Thing, Use
+from a4agent.sim.render import SceneRenderer
 from a4agent.sim.scene import Scene, build_scene
-from a4agent.sim.things import USES, Catalogue, Prop, Split, Task, Thing, Use
 
 LEAST_VISIBLE = 0.35
 """The least share of a part that must be seen; of one of the parts where any of them will do."""
@@ -58,7 +58,7 @@ class Drawn:
 
     plan: Plan
     scene: Scene
-    camera: looks.Camera
+    camera: appearance.Camera
     image: np.ndarray
     regions: np.ndarray
     thing: np.ndarray
@@ -104,7 +104,7 @@ def draw_sample(catalogue: Catalogue, plan: Plan) -> Drawn:
 
 def _draw_scene(catalogue: Catalogue, plan: Plan, rng: np.random.Generator) -> Drawn | None:
     thing, task = plan.thing, plan.task
-    yaw = looks.draw_yaw(thing, rng)
+    yaw = appearance.draw_yaw(thing, rng)
     with_arm = bool(catalogue.arms) and rng.random() < 0.3
     scene = build_scene(
         catalogue,
@@ -116,21 +116,21 @@ def _draw_scene(catalogue: Catalogue, plan: Plan, rng: np.random.Generator) -> D
         yaw=yaw,
         rng=rng,
     )
-    looks.furnish(scene, yaw, rng)
-    looks.paint(scene, rng)
-    looks.light(scene, yaw, rng)
-    size = looks.draw_size(rng)
-    with Studio(scene, looks.widen(size)) as studio:
+    appearance.furnish(scene, yaw, rng)
+    appearance.paint(scene, rng)
+    appearance.light(scene, yaw, rng)
+    size = appearance.draw_size(rng)
+    with SceneRenderer(scene, appearance.widen(size)) as rendering:
         for _ in range(VIEWS):
-            camera = looks.aim(scene, yaw, size, rng)
-            ids = studio.ids(camera)
+            camera = appearance.aim(scene, yaw, size, rng)
+            ids = rendering.ids(camera)
             regions = _number(scene, ids)
             seen = _count(scene, regions)
             if seen.sum() < LEAST_PIXELS or seen.sum() > MOST_OF_PICTURE * regions.size:
                 continue
             if np.isin(ids, scene.arm_geoms).mean() > MOST_ARM:
                 continue
-            alone = _number(scene, studio.part_alone())
+            alone = _number(scene, rendering.part_alone())
             whole = _count(scene, alone)
             each = seen / np.maximum(whole, 1)
             if (each.max() if task.choose == "any" else each.min()) < LEAST_VISIBLE:
@@ -140,10 +140,10 @@ def _draw_scene(catalogue: Catalogue, plan: Plan, rng: np.random.Generator) -> D
                 plan=plan,
                 scene=scene,
                 camera=camera,
-                image=sensor.expose(studio.colour(camera), rng),
+                image=sensor.expose(rendering.colour(camera), rng),
                 regions=regions,
                 thing=np.isin(ids, scene.thing_geoms),
-                depth=studio.depth(camera),
+                depth=rendering.depth(camera),
                 shares=Shares(
                     visible=float(seen.sum() / whole.sum()),
                     occluded=float((framed - seen.sum()) / whole.sum()),

@@ -42,8 +42,8 @@ from a4agent.files import is_draft, replace_file
 from a4agent.imaging.masks import deepest_point, tight_box
 from a4agent.sim.assets import check_installed
 from a4agent.sim.backend import check_renderer, mujoco
+from a4agent.sim.catalogue import Catalogue, Split, built_in, read_catalogue
 from a4agent.sim.draw import Drawn, Plan, draw_sample, plan_set
-from a4agent.sim.things import Catalogue, Split, built_in, read_catalogue
 
 FORMAT = 1
 JPEG_QUALITY = 92

@@ -9,7 +9,7 @@ import numpy as np
 
 from a4agent.errors import DataError
 from a4agent.sim.backend import mujoco
-from a4agent.sim.things import Arm, Model, Selector
+from a4agent.sim.catalogue import Arm, Model, Selector
 
 SOLID, CLEAR, UNSEEN, PART = 0, 3, 4, 5
 """The geom groups after `sort_geoms`: what the renderer switches on and off."""

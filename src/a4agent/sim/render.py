@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from a4agent.sim.appearance import Camera
 from a4agent.sim.backend import mujoco, renderer
-from a4agent.sim.looks import Camera
 from a4agent.sim.placing import CLEAR, PART, SOLID
 from a4agent.sim.scene import EYE, Scene
 
@@ -13,7 +13,7 @@ GEOM = 5
 """mjOBJ_GEOM: the kind of thing an id of the segmentation picture refers to."""
 
 
-class Studio:
+class SceneRenderer:
     """Renders one scene at one wide size. A context manager: graphics memory is given back at the end.
 
     Raises:
@@ -24,7 +24,7 @@ class Studio:
         self._scene = scene
         self._renderer = renderer(scene.model, wide_wh)
 
-    def __enter__(self) -> Studio:
+    def __enter__(self) -> SceneRenderer:
         return self
 
     def __exit__(self, *_: object) -> None:

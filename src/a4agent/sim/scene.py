@@ -16,6 +16,7 @@ import numpy as np
 from a4agent.errors import DataError
 from a4agent.sim.assets import asset_path
 from a4agent.sim.backend import mujoco
+from a4agent.sim.catalogue import Arm, Catalogue, Model, Prop, Thing, Use
 from a4agent.sim.placing import (
     bounds,
     match_geoms,
@@ -27,7 +28,6 @@ from a4agent.sim.placing import (
     subtree_geoms,
     without_collision_geoms,
 )
-from a4agent.sim.things import Arm, Catalogue, Model, Prop, Thing, Use
 
 FREE_JOINT = 0
 FIXED_LIGHTS = ("key", "fill", "rim")
@@ -212,7 +212,7 @@ def _clear_room(spec: Any, thing: Thing) -> None:
 
 
 def _add_stage(spec: Any, catalogue: Catalogue, surfaces: Mapping[Use, tuple[str, str]]) -> None:
-    """The camera, three lights and, for a thing of its own, table, wall and floor. Sizes are set later by `looks`."""
+    """The camera, three lights and, for a thing of its own, table, wall and floor. `appearance` sizes them."""
     spec.worldbody.add_camera(name=EYE)
     spec.add_texture(
         name="stage/sky",

@@ -19,7 +19,7 @@ from a4agent.offline.training import card, scores, shards, simulator
 from a4agent.offline.training.export import difference, export
 from a4agent.offline.training.train import TrainSettings, train
 from a4agent.sim.assets import check_installed
-from a4agent.sim.things import built_in
+from a4agent.sim.catalogue import built_in
 
 DRAWN_SHARDS, SIMULATED_SHARDS = 66, 16
 HELD_OUT_SEED = 1_000_003

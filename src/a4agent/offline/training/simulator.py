@@ -13,10 +13,10 @@ import numpy as np
 from a4agent.offline.training.canvas import SIDE
 from a4agent.offline.training.drawings import Drawing
 from a4agent.offline.vocabulary import BODY, CONTROL, GRIP, LID, WORK
-from a4agent.sim import looks, sensor
-from a4agent.sim.render import Studio
+from a4agent.sim import appearance, sensor
+from a4agent.sim.catalogue import USES, Catalogue, Thing, Use
+from a4agent.sim.render import SceneRenderer
 from a4agent.sim.scene import Scene, build_scene
-from a4agent.sim.things import USES, Catalogue, Thing, Use
 
 HELD_OUT = ("latched door", "square nut")
 """Things of `dev` that training does not see either: its own test."""
@@ -46,7 +46,7 @@ def training_things(catalogue: Catalogue) -> tuple[Thing, ...]:
 
 
 def _of_scene(catalogue: Catalogue, thing: Thing, rng: np.random.Generator) -> Iterator[Drawing]:
-    yaw = looks.draw_yaw(thing, rng)
+    yaw = appearance.draw_yaw(thing, rng)
     props = [catalogue.props[index] for index in rng.permutation(len(catalogue.props))[: rng.integers(0, 4)]]
     surfaces: dict[Use, tuple[str, str]] = {
         use: (pictures := catalogue.pictures(use))[rng.integers(len(pictures))] for use in USES
@@ -60,16 +60,16 @@ def _of_scene(catalogue: Catalogue, thing: Thing, rng: np.random.Generator) -> I
         yaw=yaw,
         rng=rng,
     )
-    looks.furnish(scene, yaw, rng)
-    with Studio(scene, looks.widen(SIZE_WH)) as studio:
+    appearance.furnish(scene, yaw, rng)
+    with SceneRenderer(scene, appearance.widen(SIZE_WH)) as rendering:
         for _ in range(VIEWS):
-            looks.paint(scene, rng)
-            looks.light(scene, yaw, rng)
-            camera = looks.aim(scene, yaw, SIZE_WH, rng)
-            labels = _label(scene, studio.ids(camera))
+            appearance.paint(scene, rng)
+            appearance.light(scene, yaw, rng)
+            camera = appearance.aim(scene, yaw, SIZE_WH, rng)
+            labels = _label(scene, rendering.ids(camera))
             if (labels > 0).sum() < 300 or not np.isin(labels, [GRIP, WORK, CONTROL, LID]).any():
                 continue
-            image = sensor.expose(studio.colour(camera), rng)
+            image = sensor.expose(rendering.colour(camera), rng)
             for _ in range(CROPS):
                 yield _crop(image, labels, KINDS.get(thing.name, "other"), rng)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from a4agent.errors import DataError, UnknownNameError
-from a4agent.sim.things import Catalogue, built_in, read_catalogue
+from a4agent.sim.catalogue import Catalogue, built_in, read_catalogue
 
 COLOURS = "red green blue yellow orange purple black white grey gray brown pink golden silver"
 SMALL = """

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from a4agent.sim.backend import mujoco
+from a4agent.sim.catalogue import Thing
 from a4agent.sim.placing import bounds
 from a4agent.sim.scene import EYE, FIXED_LIGHTS, THICKNESS, Scene
-from a4agent.sim.things import Thing
 
 SIZES_WH = ((640, 480), (640, 480), (640, 480), (512, 512), (640, 400), (480, 640))
 MARGIN = 1.25

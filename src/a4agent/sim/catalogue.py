@@ -1,4 +1,4 @@
-"""What the simulator can show: the declarations in `things.toml`, read and checked.
+"""What the simulator can show: the declarations in `catalogue.toml`, read and checked.
 
 [[thing]]
 name = "drawer"                      # the object; splits are by thing
@@ -227,7 +227,7 @@ def read_catalogue(path: Path) -> Catalogue:
 @functools.cache
 def built_in() -> Catalogue:
     """The catalogue that comes with this package."""
-    with resources.as_file(resources.files("a4agent.sim") / "things.toml") as path:
+    with resources.as_file(resources.files("a4agent.sim") / "catalogue.toml") as path:
         return read_catalogue(path)
 
 
