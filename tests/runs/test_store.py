@@ -107,9 +107,11 @@ def test_what_a_writer_killed_at_its_start_leaves_is_no_reason_to_refuse(tmp_pat
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(DataError, match="holds other files"), RunWriter(tmp_path, manifest()):
-        pass
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+    for beside in ("references.bib", "lock"):
+        (tmp_path / beside).touch()
+        with pytest.raises(DataError, match="holds other files"), RunWriter(tmp_path, manifest()):
+            pass
+    assert {path.name for path in tmp_path.iterdir()} == {"thesis.tex", "references.bib", "lock"}
 
 
 def test_what_is_not_a_run_says_so(tmp_path: Path) -> None:
@@ -157,6 +159,18 @@ def test_a_last_line_that_is_no_row_goes(tmp_path: Path) -> None:
         path.write_bytes(whole + last)
         with RunWriter(tmp_path / "run", manifest()):
             assert path.read_bytes() == whole
+
+
+def test_a_last_line_without_its_newline_is_kept_and_finished(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        run.add(row("a"))
+    path = tmp_path / "run" / "samples.jsonl"
+    whole = path.read_bytes()
+    path.write_bytes(whole.removesuffix(b"\n"))
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        assert path.read_bytes() == whole
+        run.add(row("b"))
+    assert list(read_run(tmp_path / "run").records) == ["a", "b"]
 
 
 def test_two_writers_do_not_share_a_folder(tmp_path: Path) -> None:
@@ -368,3 +382,15 @@ def test_a_lock_names_its_holder_alone(tmp_path: Path) -> None:
     (tmp_path / "lock").write_text("process 4194304 on a machine with a very, very long name\n" * 3)
     with hold(tmp_path / "lock"):
         assert (tmp_path / "lock").read_text() == f"process {os.getpid()} on {socket.gethostname()}\n"
+
+
+def test_an_animation_is_kept_once_and_repeats_for_ever(tmp_path: Path) -> None:
+    frames = [Image.new("RGB", (20, 10), colour) for colour in ("red", "green", "blue")]
+    with RunWriter(tmp_path / "run", manifest()) as run:
+        name = run.add_animation(frames)
+        assert run.add_animation([frame.copy() for frame in frames]) == name
+        assert run.add_animation(frames[::-1]) != name
+    with cast(Any, Image.open(tmp_path / "run" / name)) as kept:
+        kept.load()
+        assert (kept.size, kept.n_frames, kept.info["loop"]) == ((20, 10), 3, 0)
+        assert kept.info["duration"] == 200
