@@ -122,7 +122,7 @@ class A4Agent:
             profile=self.profile,
             version=__version__,
         )
-        asked = _Question(given or Given(), Recorder(), on_stage or _ignore, on_step, may_retry or _always)
+        asked = _Question(given or Given(), Recorder(), on_stage or _ignore, on_step, may_retry or (lambda _: True))
         try:
             answer = self._imagined(answer, asked)
             answer = self._decided(answer, asked)
@@ -349,7 +349,3 @@ def _checked(instruction: str) -> str:
 
 def _ignore(name: StageName, value: Any) -> None:
     return None
-
-
-def _always(trace: Trace) -> bool:
-    return True

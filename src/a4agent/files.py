@@ -33,7 +33,7 @@ def replace_file(path: Path, data: bytes, *, durable: bool = False) -> None:
     The folder is created. With `durable` the data is on the disk when this returns.
 
     Raises:
-        OSError: it cannot be written; the old file is unchanged, and nothing is left beside it.
+        OSError: it cannot be written; the old file is unchanged and no draft is left.
     """
     draft = path.with_name(f".{uuid.uuid4().hex}.tmp")
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -31,7 +31,7 @@ MEASURES = {"giou": "gIoU", "ciou": "cIoU", "p50": "P@50", "p50_95": "P@50:95"}
 THRESHOLDS = np.arange(50, 100, 5)  # percent
 RESAMPLES = 2000
 CONTACT_SIDE = 480
-"""A mask is searched for its contact point at about so many pixels a side."""
+"""Masks are searched for their contact point at about this many pixels a side."""
 
 
 class Row(NamedTuple):
@@ -244,7 +244,7 @@ def protocol_of(name: str) -> Protocol:
     """The protocol of that name.
 
     Raises:
-        UnknownNameError: there is none; the message suggests the nearest.
+        UnknownNameError: no such protocol; the message suggests the nearest.
     """
     if name not in PROTOCOLS:
         raise UnknownNameError.of("protocol", name, PROTOCOLS)

@@ -50,7 +50,7 @@ class ChatRequest:
 
 @dataclass(frozen=True, eq=False)
 class ChatAnswer:
-    """`reasoning` is what the server returned beside the text; `finish_reason` is "stop" or "length"."""
+    """`reasoning` is what the server returned besides the text; `finish_reason` is "stop" or "length"."""
 
     text: str
     reasoning: str = ""
@@ -90,7 +90,7 @@ class DetectRequest:
 
 @dataclass(frozen=True, eq=False)
 class Prompt:
-    """One region to segment: `box_xyxy` (4,) or None, `points_xy` (k, 2) that lie in it; one of both at least."""
+    """One region to segment: `box_xyxy` (4,) or None, and `points_xy` (k, 2) in it; at least one of them."""
 
     box_xyxy: np.ndarray | None = None
     points_xy: np.ndarray = field(default_factory=no_points)

@@ -33,7 +33,7 @@ BROKEN_FRAME = "EK_frame_0000040462.jpg"
 
 DATA = "data set Dongming97/RAGNet on Hugging Face: data.zip (37.7 GB), unpacked"
 HANDAL = (
-    f"{DATA}; pictures from NVlabs/HANDAL: the 17 without_depth archives, in HANDAL/without_depth beside the pickles"
+    f"{DATA}; pictures from NVlabs/HANDAL: the 17 without_depth archives, in HANDAL/without_depth next to the pickles"
 )
 
 
@@ -105,8 +105,8 @@ def _rows(path: Path) -> list[_PickledRow]:
         try:
             row = _PickledRow(
                 number=number,
-                frame=_beside(_text(entry, "frame_path")),
-                mask=_beside(_text(entry, "mask_path")),
+                frame=_relative(_text(entry, "frame_path")),
+                mask=_relative(_text(entry, "mask_path")),
                 question=_text(entry, "question"),
                 answer=_text(entry, "answer", ""),
                 object_class=_text(entry, "task_object_class", ""),
@@ -125,7 +125,7 @@ def _text(entry: Any, key: str, default: str | None = None) -> str:
     return value
 
 
-def _beside(name: str) -> str:
+def _relative(name: str) -> str:
     """ "./data/3doi/images/x.jpg" -> "3doi/images/x.jpg"."""
     return name.removeprefix("./").removeprefix("data/")
 

@@ -59,10 +59,10 @@ def bench(
     protocol: ProtocolOption = None,
     option: OptionsOption = None,
     cache: CacheOption = None,
-    max_cost: Annotated[float | None, typer.Option(help="Stop at this many US dollars; run again to go on.")] = None,
-    max_seconds: Annotated[float | None, typer.Option(help="Stop after this long; run again to go on.")] = None,
+    max_cost: Annotated[float | None, typer.Option(help="Stop at this many US dollars; run again to continue.")] = None,
+    max_seconds: Annotated[float | None, typer.Option(help="Stop after this long; run again to continue.")] = None,
     max_sample_seconds: Annotated[
-        float | None, typer.Option(help="Give up a sample after this long; it is an error, the run goes on.")
+        float | None, typer.Option(help="Give up a sample after this long; it is an error, the run continues.")
     ] = None,
     engine: Annotated[
         Literal["local", "ray"],
@@ -156,12 +156,7 @@ def _run_all(systems: Sequence[Sequence[Bench]], as_json: bool) -> tuple[list[Ru
 
 
 def _read_again(works: Sequence[Bench], accept: float, as_json: bool) -> list[Run]:
-    """The existing runs, with their answers accepted or abstained at another threshold.
-
-    Raises:
-        ConfigError: the answers of a run have no confidence.
-        DataError: there is no run yet.
-    """
+    """The existing runs, with their answers accepted or abstained at another threshold."""
     from a4agent.agent import A4Agent
     from a4agent.runs.store import read_run
     from a4agent.runs.trust import with_accept

@@ -118,7 +118,7 @@ def _images_of(source: str) -> dict[str, Any]:
 def queries(
     benchmark: NameArgument,
     path: PathArgument,
-    images: Annotated[Path | None, typer.Option(help="Write pictures that lie inside a table to this folder.")] = None,
+    images: Annotated[Path | None, typer.Option(help="Write pictures that a table contains to this folder.")] = None,
     option: OptionsOption = None,
 ) -> None:
     """Print a JSON line per sample (id, image, instruction), for systems with code of their own.

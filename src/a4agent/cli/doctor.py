@@ -80,7 +80,7 @@ def _retiring() -> dict[str, str]:
     for role, spec in specs.items():
         try:
             expert: Any = experts.create(spec.expert, cast(Role, role.rpartition(".")[2]), spec.settings)
-        except Exception:  # the profile's own lines say what is missing
+        except Exception:  # the lines of its profile name what is missing
             found |= _announced({role: spec})
             continue
         date = expert.shutdown_date() if hasattr(expert, "shutdown_date") else ""

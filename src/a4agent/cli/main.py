@@ -24,7 +24,7 @@ COMMANDS = {
     "score": ("score", "Score masks that another system wrote."),
     "report": ("runs", "Write a run as one HTML file."),
     "compare": ("runs", "Compare runs on the samples they share."),
-    "tables": ("runs", "Print the paper's tables with your runs beside."),
+    "tables": ("runs", "Print the paper's tables with your runs in them."),
     "calibrate": ("runs", "Fit a verifier's confidence to scored runs."),
     "data": ("data", "Check benchmark data, or make some."),
     "models": ("models", "List, fetch and verify the models of a profile."),

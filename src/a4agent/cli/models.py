@@ -49,9 +49,9 @@ def pull(
     sets: SetOption = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before the download starts.")] = False,
 ) -> None:
-    """Fetch models. A broken connection is taken up again; files that are whole are not fetched twice.
+    """Fetch models. A download that broke off is continued; complete files are not fetched twice.
 
-    Says sizes, licences and gating first. HF_HOME moves the cache, HF_TOKEN opens gated models.
+    Prints sizes, licences and gating first. HF_HOME moves the cache, HF_TOKEN opens gated models.
     """
     from a4agent.experts import hub
 

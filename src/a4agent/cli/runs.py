@@ -83,7 +83,7 @@ def tables(
         str | None, typer.Option(help="This one: reasonaff, ragnet, umd or ablation-imagination, -components, -stages.")
     ] = None,
 ) -> None:
-    """Print the paper's tables with your runs beside.
+    """Print the paper's tables with your runs in them.
 
     As Markdown, LaTeX or CSV.
     """

@@ -111,7 +111,7 @@ def _record(found: FoundFrame) -> dict[str, object]:
 def annotate(
     source: SourceArgument,
     instruction: InstructionArgument,
-    out: Annotated[Path, typer.Option("--out", "-o", help="The folder to write, or to go on with.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The folder to write, or to continue.")],
     profile: ProfileOption = None,
     sets: SetOption = None,
     cache: CacheOption = None,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def write_answer(folder: Path, record: Mapping[str, Any], pictures: Mapping[str, Image]) -> Path:
-    """Write `record` as affordance.json and the `pictures` (names of ANSWER_PICTURES) beside it; returns the folder.
+    """Write `record` as affordance.json and the `pictures` by their names of ANSWER_PICTURES; returns the folder.
 
     The folder is created. Each file is replaced in one step, and pictures of an earlier answer are removed.
 

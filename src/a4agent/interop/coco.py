@@ -22,7 +22,7 @@ def to_coco(
 ) -> list[dict[str, Any]]:
     """The regions as COCO annotations, best first, JSON-safe; no region gives an empty list.
 
-    A region that has no box of its own gets the tight box around its mask. `score` is left out where there is none.
+    A region without a box gets the tight box around its mask; one without a score has no `score`.
     """
     annotations: list[dict[str, Any]] = []
     for number, region in enumerate(affordance.regions):

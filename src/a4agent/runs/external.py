@@ -139,7 +139,7 @@ def _answer(sample: Sample, mask: np.ndarray | None, problem: str) -> Affordance
 def _predicted(
     sample: Sample, predictions: Predictions, shape: tuple[int, ...], resize: bool
 ) -> tuple[np.ndarray | None, str]:
-    """The mask predicted for a sample, or None and why there is none."""
+    """The predicted mask of a sample, or None and the reason."""
     try:
         mask = predictions.mask(sample.id)
     except DataError as error:

@@ -30,7 +30,7 @@ def oracle_of(name: str) -> Oracle:
     """The oracle of that name.
 
     Raises:
-        UnknownNameError: there is none.
+        UnknownNameError: no such oracle; the message suggests the nearest.
     """
     if name not in ORACLES:
         raise UnknownNameError.of("oracle", name, ORACLES)

@@ -117,7 +117,7 @@ def table(key: str) -> Table:
     """One table.
 
     Raises:
-        UnknownNameError: there is none of that key; the message suggests the nearest.
+        UnknownNameError: no such table; the message suggests the nearest.
     """
     if key not in tables():
         raise UnknownNameError.of("table", key, tables())

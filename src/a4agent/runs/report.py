@@ -72,8 +72,8 @@ def render(run: Run) -> str:
         trust_measures=trust.MEASURES,
         leaks=[(question, run.manifest.leaks[name]) for name, question in LEAKS.items()],
         groups=scores.by_group(run),
-        statuses=[(status, sum(r.status == status for r in run.records.values())) for status in STATUSES],
-        outcomes=_outcomes(samples),
+        statuses=[(status, scores.statuses(run).get(status, 0)) for status in STATUSES],
+        outcomes=[(name, n) for name in scores.OUTCOMES if (n := sum(s["outcome"] == name for s in samples))],
         histogram=_histogram(samples),
         errors=scores.errors(run),
         stages=_stages(run.records.values()),
@@ -150,11 +150,7 @@ def picture_side(samples: int) -> int:
 
 
 def _sample(record: Record, side: int, pictures: Mapping[str, str]) -> dict[str, Any]:
-    """One sample for page.js.
-
-    Raises:
-        DataError: one of its masks is damaged.
-    """
+    """One sample for page.js."""
     row = record.row
     width, height = row["size_wh"]
     scale = min(1.0, side / max(width, height, 1))
@@ -268,11 +264,6 @@ def _published(run: Run, found: metrics.Scores) -> dict[str, Any] | None:
         ],
         "notes": table.notes,
     }
-
-
-def _outcomes(samples: Iterable[Mapping[str, Any]]) -> list[tuple[str, int]]:
-    counts = Counter(sample["outcome"] for sample in samples)
-    return [(name, counts[name]) for name in scores.OUTCOMES if counts[name]]
 
 
 def _histogram(samples: Iterable[Mapping[str, Any]]) -> list[int]:

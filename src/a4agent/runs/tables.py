@@ -31,7 +31,7 @@ FORMS: tuple[Form, ...] = ("markdown", "latex", "csv")
 
 @dataclass(frozen=True)
 class Cell:
-    """A value in percent, None where there is none; `half_width` is half of its 95 % interval."""
+    """A value in percent, None without one; `half_width` is half of its 95 % interval."""
 
     value: float | None
     half_width: float | None = None
@@ -105,7 +105,7 @@ def _filled(table: Table, runs: Sequence[Run]) -> Filled:
         title=f"Table {table.number} of {published.SOURCE}: {table.title}",
         columns=tuple(column.name for column in table.columns),
         decimals=table.decimals,
-        lines=_grouped(_beside(theirs, ours)),
+        lines=_grouped(_merged(theirs, ours)),
         notes=(*table.notes, *_notes(runs, table.rows), *_peer_notes()),
     )
 
@@ -175,7 +175,7 @@ def _label(run: Run, names: Container[str]) -> str:
     return next((label for label in run.manifest.labels if label in names), run.manifest.label)
 
 
-def _beside(theirs: Sequence[TableLine], ours: Sequence[TableLine]) -> list[TableLine]:
+def _merged(theirs: Sequence[TableLine], ours: Sequence[TableLine]) -> list[TableLine]:
     """Each of our rows below the published row of its name, the others at the end."""
     left = list(ours)
     lines: list[TableLine] = []
@@ -205,20 +205,17 @@ def _notes(runs: Iterable[Run], names: Container[str]) -> list[str]:
         found, selection = _scores(run), run.manifest.identity["selection"]
         part = f" of {run.planned} planned" if not run.complete else ""
         chosen = f", the first {selection['limit']}" if selection["limit"] else ""
+        count = scores.statuses(run).get("abstained", 0)
+        abstained = f", {count} abstained and scored as they are" if count else ""
         shuffled = f" after a shuffle with seed {selection['shuffle']}" if selection["shuffle"] is not None else ""
         notes.append(
             f"{_label(run, names)} on {_benchmark(run)} ({run.manifest.hash}): protocol {found.protocol},"
             f" {found.n} samples{part}{chosen}{shuffled}, {found.n_scored} scored, {found.n_failed} failed"
-            f"{_abstained(run)}. "
+            f"{abstained}. "
             + "; ".join(f"{question}: {run.manifest.leaks[leak]}" for leak, question in LEAKS.items())
             + "."
         )
     return notes
-
-
-def _abstained(run: Run) -> str:
-    count = sum(record.status == "abstained" for record in run.records.values())
-    return f", {count} abstained and scored as they are" if count else ""
 
 
 @lru_cache(maxsize=64)

@@ -1,7 +1,7 @@
 """Serves an ASGI application on a socket until a signal, and protects it from slow and idle connections.
 
-uvicorn waits for ever for a request's headers and for a caller to read its answer, and takes connections until the
-process has no file handles left. `GuardedProtocol` adds the deadlines and the limits.
+uvicorn waits without a limit for a request's headers and for a caller to read its answer, and accepts connections until
+the process has no file handles left. `GuardedProtocol` adds the deadlines and the limits.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class ConnectionLimits:
 
     Attributes:
         total: connections at a time. One more closes the connection that has waited longest without a whole request;
-            where there is none, the new one is closed.
-        per_address: the same for one address. Loopback is exempt: a reverse proxy there speaks for everybody.
+            if all have one, the new connection is closed.
+        per_address: the same for one address. Loopback is exempt: a reverse proxy there forwards for all callers.
         header_seconds: from the first byte (or the connection) to the end of the headers.
         body_seconds: from there to the end of the body.
         idle_seconds: between two requests of a connection.

@@ -72,11 +72,7 @@ def annotate(
 
 
 def _claim(out: Path, recipe: dict[str, Any]) -> None:
-    """Mark the folder as this job's, or check that it is.
-
-    Raises:
-        InputError: it holds the frames of another job.
-    """
+    """Mark the folder as this job's; raise InputError if it is another's."""
     path = out / RECIPE
     if path.exists():
         known = json.loads(path.read_text(encoding="utf-8"))
@@ -91,11 +87,7 @@ def _claim(out: Path, recipe: dict[str, Any]) -> None:
 
 
 def _rows(journal: Path) -> list[dict[str, Any]]:
-    """The answers in a journal, each frame once. An unfinished last line is removed.
-
-    Raises:
-        DataError: another line is damaged.
-    """
+    """The answers in a journal, each frame once. An unfinished last line is removed."""
     if not journal.exists():
         return []
     data = journal.read_bytes()
@@ -108,7 +100,9 @@ def _rows(journal: Path) -> list[dict[str, Any]]:
             row = json.loads(line)
             found[str(int(row["id"]))] = row
         except (ValueError, KeyError, TypeError, RecursionError) as error:
-            raise DataError(f"line {number} of {str(journal)!r} is damaged: {error}; delete it to go on") from error
+            raise DataError(
+                f"line {number} of {str(journal)!r} is damaged: {error}; delete it and run again"
+            ) from error
     return list(found.values())
 
 
@@ -122,7 +116,8 @@ def export(out: Path, rate: float) -> int:
         width, height = answer.size_wh
         images.append({"id": index, "file_name": f"{index:06d}", "width": width, "height": height})
         annotations += to_coco(answer, image_id=index, first_id=len(annotations) + 1)
-    coco = {"images": images, "annotations": annotations, "categories": [{"id": 1, "name": _part(answers)}]}
+    part = next((answer.phrase for _, answer in answers), "part")
+    coco = {"images": images, "annotations": annotations, "categories": [{"id": 1, "name": part}]}
     replace_file(out / "coco.json", json.dumps(coco).encode())
     try:
         arrow: Any = require("pyarrow", extra="bench")
@@ -134,10 +129,6 @@ def export(out: Path, rate: float) -> int:
     parquet.write_table(table, draft)
     draft.replace(out / "annotations.parquet")
     return len(answers)
-
-
-def _part(answers: list[tuple[int, Affordance]]) -> str:
-    return next((answer.phrase for _, answer in answers), "part")
 
 
 def _parquet_row(index: int, answer: Affordance, rate: float) -> dict[str, Any]:
