@@ -252,7 +252,7 @@ def _pose(camera: Any) -> np.ndarray:
     forward = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.cross(forward, [0, 0, 1])
     right = right / np.linalg.norm(right)
-    pose = np.rendering(4)
+    pose = np.eye(4)
     pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
     pose[:3, 3] = np.asarray(camera.lookat) - camera.distance * forward
     return pose
