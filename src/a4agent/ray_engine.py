@@ -258,10 +258,10 @@ def _remote_experts(ray: Any, handles: list[Any], batch: int) -> dict[str, Actor
     starting = {handle.about.remote(): number for number, handle in enumerate(handles)}
     started, _ = ray.wait(list(starting), num_returns=1)
     actors = Actors(ray, handles, starting)
-    told = actors.result(started[0], "a stage")
-    if isinstance(told, A4Error):
-        raise told
-    return {name: ActorExpert(name, about, actors, batch) for name, about in told.items()}
+    reported = actors.result(started[0], "a stage")
+    if isinstance(reported, A4Error):
+        raise reported
+    return {name: ActorExpert(name, about, actors, batch) for name, about in reported.items()}
 
 
 def send_pictures_as_arrays() -> None:

@@ -1,4 +1,4 @@
-"""When to ask again: how long a failed request waits, how many calls go at once, and when to leave an expert alone."""
+"""When to ask again: how long a failed request waits, how many calls go at once, and when calls are held back."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Pace:
 
 
 class Breaker:
-    """Leaves an expert alone while it is down.
+    """Holds calls back while an expert is down.
 
     After ten failures in a row it holds all calls back for `pause` seconds, lets one through to see, and
     doubles the pause until one succeeds. An expert that is down for `outage_seconds` is given up: `enter`

@@ -41,7 +41,7 @@ def resized(width: float, height: float) -> CoordinateSystem:
 def to_pixels(values: np.ndarray | Sequence[object], system: CoordinateSystem, size_wh: tuple[int, int]) -> np.ndarray:
     """Convert (..., 2k) numbers, alternately x and y, to pixels of an image of `size_wh`; float64, same shape.
 
-    Nothing is clipped or ordered: what a model says outside the image stays outside.
+    Nothing is clipped or ordered: coordinates outside the image stay outside.
 
     Raises:
         ValueError: the last axis is odd.

@@ -1,4 +1,4 @@
-"""What vision-language models write when they are asked for boxes, read with patience: text in, numbers out.
+"""Read the boxes and points in a vision-language model's answer, leniently: text in, numbers out.
 
     read_objects('<think>a mug</think><answer>[{"bbox_2d": [10,20,30,40], "point_2d": [15,25]},]</answer>',
                  box_keys=["bbox_2d"], point_keys=["point_2d"])
@@ -7,8 +7,8 @@
         -> Found(boxes=[[100.0, 200.0, 300.0, 400.0]], points=[])
 
 Real answers leave tags open, end lists with commas, use single quotes, write numbers as strings, wrap all of
-it in Markdown and stop in the middle. What can be read of that is read; what cannot be is an error, and
-"nothing found" is a result. Coordinates are returned as written.
+it in Markdown and stop in the middle. Whatever is readable is returned. An answer with nothing readable is an
+error, unless it states that nothing was found. Coordinates are returned as written.
 """
 
 from __future__ import annotations

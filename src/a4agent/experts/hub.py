@@ -4,7 +4,7 @@
     reach("facebook/sam3")                  asks whether it is there and open to this account, within seconds
     fetch("facebook/sam2.1-hiera-tiny")     -> the folder, downloaded; files that are there already are kept
 
-Every failure names the model and the command that puts it right. HF_HOME, HF_ENDPOINT, HF_TOKEN and
+Every error names the model and the command that fixes it. HF_HOME, HF_ENDPOINT, HF_TOKEN and
 HF_HUB_OFFLINE mean what they always mean.
 """
 

@@ -7,9 +7,8 @@ A provider is an entry point of the group `a4agent.experts` that names a factory
 
     def create(model: str, role: Role, *, dtype: str = "auto", ...) -> Expert        or a class with this `__init__`
 
-The keyword-only parameters of the factory are the expert's settings; their names and defaults are
-all there is to know about them, so a misspelt one is an error that suggests the right one. Built-in
-experts are registered in the same way as a stranger's. Nothing is imported before it is asked for.
+The keyword-only parameters of the factory are the expert's settings, so a misspelt setting is an error that
+suggests the right one. Built-in experts register as third-party ones do. Nothing is imported before it is used.
 """
 
 from __future__ import annotations

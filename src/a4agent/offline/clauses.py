@@ -1,4 +1,4 @@
-"""Sentences as text, before words are looked at: plain spelling, politeness away, clauses apart.
+"""Prepare a sentence as text: correct its spelling, drop polite phrases, split off clauses.
 
 plain("Could you please pikc up the mug?")                  -> "pick up the mug?"
 set_apart("hold the knife, not by the blade")               -> ("hold the knife", "not by the blade")
@@ -90,7 +90,7 @@ _NOT_A_PURPOSE = re.compile(
 
 
 def plain(instruction: str) -> str | None:
-    """An instruction in lower-case English, spelt right, without what is only polite; None in a foreign language."""
+    """The instruction in lower-case English, spelt right and without polite phrases; None in an unknown language."""
     english = in_english(_expanded(instruction))
     if english is None:
         return None
@@ -134,14 +134,14 @@ def _expanded(instruction: str) -> str:
 
 
 def _tidy(text: str) -> str:
-    """Without doubled spaces and punctuation that polite words left behind."""
+    """Remove the spaces and punctuation that removed words left behind."""
     text = re.sub(r"\s+([,;:.!?])", r"\1", text)
     text = re.sub(r"([,;:.!?])[,;:\s]*(?=[,;:.!?])", r"", text)
     return re.sub(r"^[\s,;:.!?]+|\s+(?=\s)", "", text).strip()
 
 
 def set_apart(text: str) -> tuple[str, str]:
-    """The text without what it rules out, and what that is."""
+    """The text without what it rules out, and the clauses removed."""
     ruled_out: list[str] = []
     text = _COMPLAINT.sub(r"\1", text)
 
@@ -157,7 +157,7 @@ def set_apart(text: str) -> tuple[str, str]:
 
 
 def main_and_purpose(text: str) -> tuple[str, str]:
-    """The text without its purposes, and those; a purpose that is all there is becomes the main clause."""
+    """The text without its purpose clauses, and those clauses; a lone purpose becomes the main clause."""
     purposes: list[str] = []
 
     def take(match: re.Match[str]) -> str:
@@ -190,8 +190,8 @@ _OPENED = {"open": "open", "shut": "close", "closed": "close"}
 def joined_verbs(text: str, verbs: Mapping[tuple[str, ...], object]) -> str:
     """The text with verb and particle side by side: "switch the light on" -> "switch on the light".
 
-    What is thrown, pushed or slid open is opened, and what is pulled shut is closed. "Back" goes, lest it be taken for
-    a chair's.
+    What is thrown, pushed or slid open is opened, and what is pulled shut is closed. "Back" is dropped, so that it is
+    not read as the back of a chair.
     """
 
     def joined(match: re.Match[str]) -> str:

@@ -61,7 +61,7 @@ def _with_its_looks(found: Decision, reading: Reading) -> Decision:
 
 
 def _compared(found: Decision, seen: tuple[KnownThing, ...], missing: frozenset[str], know: Knowledge) -> Decision:
-    """The decision, saying so if the named thing is not among those in the picture."""
+    """The decision, with a note if the picture does not show the named thing."""
     thing = know.object_named(_without_qualifiers(found.object_name or ""))
     if thing is None or thing.kind not in missing:
         return found

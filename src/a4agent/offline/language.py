@@ -46,7 +46,7 @@ _SAFELY = re.compile(r"\b(?:burn|hurt|cut|injur|scald|prick|harm)\w*\b")
 class Verb:
     """A verb as written, without its ending, and the actions it may mean, likeliest first.
 
-    `purpose` tells that something else is done for it.
+    `purpose` marks a verb of a purpose clause: something else is done for it.
     """
 
     text: str
@@ -59,7 +59,7 @@ class Verb:
 
 @dataclass(frozen=True)
 class Reading:
-    """What a sentence holds: verbs of the main clause first, then those of its purpose; what it rules out apart."""
+    """What a sentence contains: verbs of the main clause, then of its purpose, and separately what it rules out."""
 
     text: str
     words: tuple[str, ...]
@@ -130,7 +130,7 @@ def tokens(text: str) -> list[str]:
 
 
 def _adjectives(ruled_out: Sequence[str]) -> tuple[str, ...]:
-    """Actions that ruled-out adjectives stand for: the part that is not sharp does not cut."""
+    """The actions implied by ruled-out adjectives: the part that is not sharp does not cut."""
     return tuple(action for word in ruled_out for action in SENSES.get(word, ()))
 
 
@@ -138,7 +138,7 @@ SENSES = {
     "sharp": ("cut",), "hot": ("cook",), "pointed": ("spear",), "pointy": ("spear",), "spiky": ("spear",),
     "hollow": ("contain",),
 }  # fmt: skip
-"""What a part of such a look is there for."""
+"""The actions that an adjective implies for a part."""
 
 
 def _verbs(words: Sequence[str], know: Knowledge) -> list[Verb]:

@@ -3,7 +3,7 @@
     reasoner.chat([ChatRequest(images=(photo,), text='... The task instruction is "drink from the mug". ...')])
     -> '### Thinking\nThe mug is held by its handle.\n### Output\n{"task": ..., "object_part": ...}'
 
-It reads the task from the paper's templates and from nothing else; the network tells it what is in the picture.
+It reads the task from the paper's templates only; the network reports what the picture shows.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ INSTEAD = {
     "push": ("press", "close", "grasp"),
     "swing": ("grasp",), "pound": ("chop",), "unlock": ("open",), "wash": ("grasp",), "cook": ("contain",),
 }  # fmt: skip
-"""What comes close to an action that no part of a thing is there for."""
+"""The actions to try in place of one that no part of a thing affords."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Situation:
         return any(tool.part_for(action) for tool in tools for action in done)
 
     def _is_remark(self, noun: Noun) -> bool:
-        """Whether the sentence only tells how a part is: "the body is hot"."""
+        """Whether the sentence only describes a part: "the body is hot"."""
         after = self.reading.words[noun.end : noun.end + 1]
         return bool(after) and after[0] in {"is", "are", "was", "were", "feels", "looks", "seems"}
 
@@ -53,13 +53,13 @@ class Situation:
         return sorted((n for n in flat if n.thing), key=lambda n: (order[n.role], self._is_remark(n)))
 
     def _asked_after(self, candidates: Sequence[Noun]) -> Verb | None:
-        """What a second sentence asks to pull, after the first told where things are."""
+        """What a second sentence asks to pull, after the first described the scene."""
         verb = next((v for v in self.reading.verbs if {"pull", "open"} & set(v.actions)), None)
         return verb if verb and "." in self.reading.words[candidates[-1].end : verb.start] else None
 
     @property
     def _states(self) -> bool:
-        """Whether the sentence tells rather than asks: "the mug is empty"."""
+        """Whether the sentence describes instead of asking: "the mug is empty"."""
         return bool({"is", "are", "was", "were", "has"} & set(self.reading.words))
 
     def _leads_on(self, verb: Verb) -> bool:

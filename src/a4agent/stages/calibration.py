@@ -141,7 +141,7 @@ def _numbers(data: Mapping[str, Any], name: str, count: int) -> tuple[float, ...
 
 def _number(value: Any, name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ValueError(f"{name} holds {value!r} where a number is expected")
+        raise ValueError(f"{name} must hold finite numbers, not {value!r}")
     return float(value)
 
 

@@ -134,7 +134,7 @@ class ChatModel:
 def load_processor(folder: Path, class_name: str | None = None) -> Any:
     """The processor of a checkpoint; without torchvision one that takes images and no video.
 
-    `class_name` is the processor's class where the folder does not say (a part of a pipeline).
+    `class_name` is the processor's class if the folder does not name it (a part of a pipeline).
 
     Raises:
         ModelFilesError: its files are missing or damaged.

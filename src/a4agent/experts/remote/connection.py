@@ -1,4 +1,4 @@
-"""The wire to any OpenAI-compatible server: where it is, its key, and what its failures mean.
+"""A connection to an OpenAI-compatible server: its address, its key, and what its failures mean.
 
     connection = Connection("gpt-4o", base_url="", server="", api_key_variable="", timeout=120, max_retries=2)
     completion, sent = connection.call(lambda client: client.chat.completions.with_raw_response.create(...))
@@ -280,7 +280,7 @@ class Connection:
 
 
 def _said(error: Any) -> str:
-    """The server's own words, short."""
+    """The server's message, shortened."""
     body = error.body
     if isinstance(body, Mapping):
         body = body.get("message") or body.get("detail") or body.get("error") or body

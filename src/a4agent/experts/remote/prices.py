@@ -1,4 +1,4 @@
-"""What a call over the wire costs, from the table in prices.toml (US dollars per million tokens).
+"""What a call to a server costs, from the table in prices.toml (US dollars per million tokens).
 
 price_of("gpt-4o-2024-08-06")                                  -> the price of "gpt-4o"
 Price(input=2.5, output=10.0).cost(tokens_in=1000, tokens_out=100) -> 0.0035
