@@ -70,7 +70,7 @@ class Outcome:
 
 
 class Workplace:
-    """A folder with pictures and profile, and the records of a run in peace."""
+    """A folder with pictures and profile, and the records and the seconds of a run in peace."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -79,7 +79,9 @@ class Workplace:
         (folder / "drawn.toml").write_text(killable.PROFILE.replace("SECONDS", str(SECONDS)))
         registry.register("drawn", killable.create)
         self.expected: dict[str, Any] = {}
+        started = time.monotonic()
         self.expected = self.records(self.finish(self.new_run()))
+        self.seconds = time.monotonic() - started
 
     def new_run(self, below: Path | None = None) -> Path:
         self._runs += 1
@@ -139,7 +141,7 @@ def signals(place: Workplace, tries: int, *numbers: int) -> Outcome:
         run = place.new_run()
         while True:
             process = place.start(run)
-            deadline = time.monotonic() + chance.uniform(0.0, 1.2)
+            deadline = time.monotonic() + chance.uniform(0.0, 1.2 * place.seconds)
             while time.monotonic() < deadline and not ended(process):
                 time.sleep(0.005)
             if ended(process):

@@ -100,7 +100,7 @@ def visit(browser: Any, url: str, tmp_path: Path, request: pytest.FixtureRequest
         page = browser.new_context(viewport={"width": 1280, "height": 1000}, accept_downloads=True).new_page()
         page.on("request", lambda r: r.url.startswith((url, "data:", "blob:")) or strangers.append(r.url))
         page.on("dialog", lambda dialog: pytest.fail("a script of the model's ran"))
-        page.set_default_timeout(30_000)
+        page.set_default_timeout(120_000)
         page.goto(url)
         page.wait_for_selector("#run")
         pages.append(page)
@@ -275,6 +275,21 @@ def test_a_visitor_cannot_name_the_upload_of_another(url: str) -> None:
         with pytest.raises(urllib.error.HTTPError) as caught:
             urllib.request.urlopen(f"{url}/gradio_api/file={listing}", timeout=30)
         assert caught.value.code == 403
+        caught.value.close()
+
+
+def test_nobody_passes_the_queue_by(url: str) -> None:
+    with urllib.request.urlopen(f"{url}/config", timeout=30) as answer:
+        actions = [row["id"] for row in json.load(answer)["dependencies"] if row["queue"]]
+    assert len(actions) == 2  # the button and the examples
+    for action in actions:
+        inputs = [{"path": str(PHOTO)}, "open it", "offline", True]
+        body = json.dumps({"data": inputs, "fn_index": action, "session_hash": "s"}).encode()
+        asked = urllib.request.Request(f"{url}/gradio_api/run/predict", body, {"Content-Type": "application/json"})
+        with pytest.raises(urllib.error.HTTPError) as caught:
+            urllib.request.urlopen(asked, timeout=30)
+        assert caught.value.code == 404
+        assert "join the queue" in caught.value.read().decode()
         caught.value.close()
 
 

@@ -191,7 +191,7 @@ def _blocks(gr: Any, profiles: Profiles, profile: str) -> Any:
         for asked in (partial(gr.on, [run.click, instruction.submit]), examples.load_input_event.success):
             asked(fn=None, js=SHOW_ANSWER)
             asked(**action)
-    return blocks.queue(max_size=MOST_WAITING)
+    return blocks.queue(max_size=MOST_WAITING, api_open=False)  # else /run decodes photos beside the queue
 
 
 def _path(payload: Any) -> str | None:
