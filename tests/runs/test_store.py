@@ -317,7 +317,9 @@ def test_a_record_sums_what_its_calls_took() -> None:
     record = Record({"trace": calls})
     assert (record.seconds, record.cost) == (4.0, 0.75)
     assert (record.confidence, record.measures, record.category, record.tags) == (None, {}, "", {})
+    assert record.pictures == {}
     groups = {"measures": {"contact": None}, "category": "mug", "tags": {"size": "small"}, "confidence": 0.0}
+    groups |= {"pictures": {"original": "images/4be1.jpg"}, "truth": {"size": [1, 1], "counts": "1"}}
     record = Record(groups)
     assert {name: getattr(record, name) for name in groups} == groups
 

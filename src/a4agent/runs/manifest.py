@@ -140,11 +140,16 @@ class _Identity(BaseModel):
     selection: _Selection
 
 
+class _Git(BaseModel):
+    commit: str
+    dirty: bool
+
+
 class _Session(BaseModel):
     started: str
     command: str
     versions: dict[str, str]
-    git: dict[str, Any] | None
+    git: _Git | None
 
 
 class _File(BaseModel):
