@@ -62,6 +62,24 @@ def test_open_fingers_take_hold_and_closed_ones_do_not(name: str, simulator: Non
         assert not trial.act(place).success
 
 
+def test_the_microwave_of_another_package_opens(simulator: None) -> None:
+    task = BY_NAME["microwave-open"]
+    with Trial(task, 0) as trial:
+        view = trial.photograph()
+        contact = contact_points(view.part, view.depth.astype(np.float64), view.camera)[0]
+        assert contact.position_xyz is not None
+        assert trial.act(view.to_world(contact.position_xyz)).success
+        assert view.image[:40].mean() > 60, "the sky of the scene is still there"
+        assert float(trial.data.qpos[9]) < -0.45
+
+
+def test_a_guest_that_is_not_in_its_file_is_named(simulator: None) -> None:
+    task = BY_NAME["microwave-open"]
+    assert task.guest is not None
+    with pytest.raises(DataError, match=r"microwave-open.* needs a body .* and 'no-oven'"):
+        Trial(replace(task, guest=replace(task.guest, root="no-oven")), 0)
+
+
 def test_the_picture_and_the_world_agree(simulator: None) -> None:
     with Trial(BY_NAME["button-press"], 1) as trial:
         view = trial.photograph()

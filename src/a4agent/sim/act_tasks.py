@@ -3,11 +3,12 @@
 Meta-World's Python environments need packages that this project leaves out, so its MJCF files are read as data and
 what an environment adds to them is restated here: where its thing is put (`low`, `high`: its `_random_reset_space`),
 how its joint starts (`reset_model`) and when it counts as done (`success`, from `evaluate_state`). The source of each
-is `metaworld/envs/sawyer_<source>_v3.py` of metaworld 3.1.1, by Farama Foundation, MIT.
+is `metaworld/envs/sawyer_<source>_v3.py` of metaworld 3.1.1, by Farama Foundation, MIT. The microwave and its test are
+those of gymnasium-robotics 1.4.2 (the kitchen: Apache-2.0); it stands where we put it.
 
 A skill is what a robot knows of the verb in the sentence, not of the scene: waypoints of its fingertips relative to
 the contact point, in the world's frame (x right, y away from the robot, z up). The fingers are closed, or close at
-one waypoint: along y, and no wider than ten centimetres.
+one waypoint: along y (along x with the hand turned), and no wider than ten centimetres.
 
 Where a task has a second place that no contact tells (the box of `box_close`, the nail of `hammer`), what counts is
 the environment's own word for a thing that is picked up (`pickCompleted`).
@@ -24,6 +25,8 @@ import numpy as np
 TARGET_RADIUS = 0.05
 """`SawyerXYZEnv.TARGET_RADIUS`."""
 
+KITCHEN = "kitchen_franka/kitchen_assets/kitchen_env_model.xml"
+
 Waypoint = tuple[float, float, float]
 Success = Callable[[Any, Any, np.ndarray], bool]
 """(model, data, where the thing was put (3,)) -> whether the environment counts the task as done."""
@@ -32,12 +35,22 @@ Placement = Callable[[Any, Any, np.ndarray], None]
 
 
 @dataclass(frozen=True)
+class Guest:
+    """The body `root` of a file of another package, put into the scene for its body `instead_of`."""
+
+    package: str
+    file: str
+    root: str
+    instead_of: str
+
+
+@dataclass(frozen=True)
 class ActTask:
     """One task. `part` are the names of geoms or meshes of the true part, `thing` the body of the whole object.
 
     `place` puts the thing down (None: moves its body), `start` is the joint's first position (None: as in the file).
     With `grasp` the fingers are open up to the waypoint of this number, close there and stay closed; without it they
-    are closed all the time.
+    are closed all the time. The hand is `turned` a quarter about the vertical where they must close along x.
     """
 
     name: str
@@ -55,6 +68,8 @@ class ActTask:
     place: Placement | None = None
     start: float | None = None
     grasp: int | None = None
+    turned: bool = False
+    guest: Guest | None = None
 
 
 def _xyz(x: float, y: float, z: float) -> np.ndarray:
@@ -366,6 +381,24 @@ TASKS = (
         success=lambda m, d, at: _norm(_site(d, "pegEnd") - (at + _xyz(0.194, 0, 0.131))) <= 0.07,
         place=_put_plug,
         grasp=1,
+    ),
+    ActTask(
+        name="microwave-open",
+        source="gymnasium_robotics: envs/franka_kitchen/kitchen_env.py",
+        model="sawyer_reach_v3.xml",
+        thing="microwave",
+        part=("microwave/microdoorroot:microwave/micro_metal",),
+        low=(-0.05, 0.93, 0.0),
+        high=(0.05, 0.97, 0.0),
+        sentences=("Open the microwave.", "Pull the microwave open by its handle."),
+        object_name="microwave",
+        object_part="the handle of the microwave",
+        waypoints=((0, 0.02, 0.25), (0, 0.02, 0.07), (-0.05, -0.115, 0.07), (-0.144, -0.23, 0.07), (-0.22, -0.3, 0.07)),
+        success=lambda m, d, at: abs(float(d.qpos[9]) + 0.75) < 0.3,
+        start=0.0,
+        grasp=1,
+        turned=True,
+        guest=Guest("gymnasium-robotics", KITCHEN, root="microroot", instead_of="obj"),
     ),
 )
 """All tasks, in the order in which they are asked."""

@@ -21,10 +21,9 @@ import numpy as np
 
 from a4agent.acting.lifting import Intrinsics
 from a4agent.errors import DataError
+from a4agent.sim.act_scene import load_scene
 from a4agent.sim.act_tasks import ActTask
-from a4agent.sim.assets import asset_path
 from a4agent.sim.backend import mujoco, renderer
-from a4agent.sim.catalogue import built_in
 
 SIZE_WH = (640, 480)
 FOVY = 45.0
@@ -33,6 +32,8 @@ WORKSPACE = np.array([[-0.5, 0.4, 0.05], [0.5, 1.0, 0.5]])
 """Where the hand may go: `hand_low` and `hand_high` of the environments."""
 REACH = WORKSPACE - np.array([0.0, 0.0, 0.05])
 """Where its fingertips may go: they are five centimetres below."""
+DOWN, TURNED = (1, 0, 1, 0), (1, -1, 1, 1)
+"""Attitudes of the hand, fingers down, as quaternions w x y z: they close along y, or along x."""
 REST = np.array([0.0, 0.45, 0.42])
 CLOSE_ENOUGH = 0.012
 FRAME_EVERY = 8
@@ -77,8 +78,7 @@ class Trial:
     def __init__(self, task: ActTask, seed: int) -> None:
         self.task = task
         self._rng = np.random.default_rng([seed, *task.name.encode()])
-        path = asset_path(built_in(), "metaworld", f"sawyer_xyz/{task.model}")
-        self.model: Any = mujoco().MjModel.from_xml_path(str(path))
+        self.model: Any = load_scene(task)
         self.data: Any = mujoco().MjData(self.model)
         self._free_weld()
         self.at = self._rng.uniform(task.low, task.high)
@@ -234,7 +234,7 @@ class Trial:
     def _move_hand(self, position: np.ndarray, closed: float, steps: int) -> None:
         for _ in range(steps):
             self.data.mocap_pos[0] = position
-            self.data.mocap_quat[0] = [1, 0, 1, 0]
+            self.data.mocap_quat[0] = TURNED if self.task.turned else DOWN
             self.data.ctrl[:2] = [closed, -closed]
             mujoco().mj_step(self.model, self.data, nstep=FRAME_SKIP)
 

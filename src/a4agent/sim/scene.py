@@ -131,7 +131,7 @@ def _compile(
     if arm:
         _attach(spec, catalogue, arm, "arm")
     _add_stage(spec, catalogue, surfaces)
-    _drop_unused(spec)
+    drop_unused(spec)
     try:
         return spec.compile(), root_name
     except ValueError as error:
@@ -158,7 +158,7 @@ def _open(catalogue: Catalogue, entry: Model) -> Any:
         raise DataError(f"mujoco cannot read {str(path)!r}: {error}") from error
 
 
-def _same_physics(child: Any, spec: Any) -> None:
+def same_physics(child: Any, spec: Any) -> None:
     """Give the child the parent's physics settings: they do not matter here, and a difference is a warning."""
     for name in (name for name in dir(spec.option) if not name.startswith("_")):
         setattr(child.option, name, getattr(spec.option, name))
@@ -187,7 +187,7 @@ def _find_root(spec: Any, entry: Model) -> Any:
 def _attach(spec: Any, catalogue: Catalogue, entry: Model, name: str) -> str:
     """Hang the entry's body under a new body `name` at the origin; returns that name."""
     child = _open(catalogue, entry)
-    _same_physics(child, spec)
+    same_physics(child, spec)
     root = _find_root(child, entry)
     root.pos = np.zeros(3)
     for joint in list(root.find_all("joint")):
@@ -239,22 +239,22 @@ def _add_stage(spec: Any, catalogue: Catalogue, surfaces: Mapping[Use, tuple[str
     spec.visual.quality.shadowsize = 2048
 
 
-def _drop_unused(spec: Any) -> None:
-    """Attaching a body brings all assets of its file along: keep those that are seen."""
+def drop_unused(spec: Any, prefix: str = "") -> None:
+    """Attaching a body brings all assets of its file along: of those named `prefix`..., keep those that are seen."""
     geoms = list(spec.geoms)
     meshes = {geom.meshname for geom in geoms}
     materials = {geom.material for geom in geoms}
     for mesh in list(spec.meshes):
-        if mesh.name not in meshes:
+        if mesh.name.startswith(prefix) and mesh.name not in meshes:
             spec.delete(mesh)
     textures: set[str] = set()
     for material in list(spec.materials):
-        if material.name not in materials:
+        if material.name.startswith(prefix) and material.name not in materials:
             spec.delete(material)
         else:
             textures.update(name for name in material.textures if name)
     for texture in list(spec.textures):
-        if texture.name == "stage/sky":
+        if texture.name == "stage/sky" or not texture.name.startswith(prefix):
             continue
         if texture.name not in textures:
             spec.delete(texture)
