@@ -73,6 +73,15 @@ def test_the_microwave_of_another_package_opens(simulator: None) -> None:
         assert float(trial.data.qpos[9]) < -0.45
 
 
+def test_the_hand_does_not_move_for_a_point_out_of_reach(simulator: None) -> None:
+    with Trial(BY_NAME["button-press"], 0) as trial:
+        before = trial.data.qpos.copy()
+        filmed: list[int] = []
+        outcome = trial.act(np.array([-30.0, 50.0, -10.0]), lambda: filmed.append(1))
+        assert (outcome.success, outcome.steps, len(filmed)) == (False, 0, 1)
+        assert (trial.data.qpos == before).all()
+
+
 def test_a_guest_that_is_not_in_its_file_is_named(simulator: None) -> None:
     task = BY_NAME["microwave-open"]
     assert task.guest is not None

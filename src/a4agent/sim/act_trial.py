@@ -32,6 +32,8 @@ WORKSPACE = np.array([[-0.5, 0.4, 0.05], [0.5, 1.0, 0.5]])
 """Where the hand may go: `hand_low` and `hand_high` of the environments."""
 REACH = WORKSPACE - np.array([0.0, 0.0, 0.05])
 """Where its fingertips may go: they are five centimetres below."""
+BEYOND = 0.05
+"""Metres that a contact may lie beyond that: the hand then goes as far as it can."""
 DOWN, TURNED = (1, 0, 1, 0), (1, -1, 1, 1)
 """Attitudes of the hand, fingers down, as quaternions w x y z: they close along y, or along x."""
 REST = np.array([0.0, 0.45, 0.42])
@@ -141,9 +143,12 @@ class Trial:
     def act(self, contact_xyz: np.ndarray, on_step: Callable[[], None] | None = None) -> Outcome:
         """Reach for the contact (3,) in the world's frame and follow the task's waypoints until it is done.
 
+        The hand does not move for a contact that is out of its reach.
+
         `on_step` is called after every FRAME_EVERY steps and at the end, for pictures of what happens.
         """
-        outcome = self._act(contact_xyz, on_step)
+        within_reach = ((contact_xyz >= REACH[0] - BEYOND) & (contact_xyz <= REACH[1] + BEYOND)).all()
+        outcome = self._act(contact_xyz, on_step) if within_reach else Outcome(False, 0)
         if on_step:
             on_step()
         return outcome
