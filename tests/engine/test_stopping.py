@@ -310,14 +310,14 @@ def test_the_first_interrupt_of_a_run_that_is_stopping_lets_it_end_too() -> None
 def test_the_second_interrupt_leaves_at_once() -> None:
     process = _start(3.0)
     assert process.stdout is not None
-    process.stdout.readline()
+    first = process.stdout.readline()
     process.send_signal(signal.SIGINT)
     time.sleep(0.4)
-    started = time.monotonic()
     process.send_signal(signal.SIGINT)
-    process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert time.monotonic() - started < 2.0
+    rest, err = process.communicate(timeout=30)
+    *done, last = [first, *rest.splitlines()]
+    assert process.returncode == 130, err
+    assert int(last.removeprefix("interrupted ")) > len(done)  # the samples in flight were left
 
 
 def test_what_waits_for_the_budget_is_not_begun_after_an_interrupt() -> None:

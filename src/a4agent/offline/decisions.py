@@ -18,9 +18,9 @@ from dataclasses import replace
 from functools import lru_cache
 
 from a4agent.offline.knowledge import QUALIFIERS, Knowledge, KnownPart, KnownThing, knowledge, stem
-from a4agent.offline.language import SENSES, Reading, Verb, read
+from a4agent.offline.language import Reading, Verb, read
 from a4agent.offline.noun_phrases import Noun
-from a4agent.offline.situation import BY_HAND, INSTEAD, Situation
+from a4agent.offline.situation import BY_HAND, Situation
 from a4agent.offline.wording import Decision, decision, held, listed, noun_of, refused, used_for, with_article
 
 _FACTS = re.compile(
@@ -196,16 +196,16 @@ class _Decider(Situation):
             if part := rim or self._part(thing, action):
                 why = f"To {self._spoken(action)}, use the {part.name} of the {owner.name}."
                 return decision(owner, part, action, why)
-        for action in (other for one in wanted for other in INSTEAD.get(one, ())):
+        for action in (other for one in wanted for other in self.know.instead.get(one, ())):
             if part := self._part(thing, action):
                 return decision(owner, part, action, f"For that, use the {part.name} of the {owner.name}.")
         part = thing.working_part
         return decision(owner, part, "use", f"That is the {part.name} of the {owner.name}.")
 
-    def _sense(self, word: str) -> tuple[str, ...]:
+    def _sense(self, word: str) -> Sequence[str]:
         """What an adjective wants of a part: the sharp one cuts, the graspable one is grasped."""
         verb = stem(word.removesuffix("able")) if word.endswith("able") and len(word) > 6 else ()
-        return SENSES.get(word, ()) or (self.know.action_index.get(verb, ()) if verb else ())
+        return self.know.senses.get(word, ()) or (self.know.action_index.get(verb, ()) if verb else ())
 
     def _is_to_hold_something(self) -> bool:
         """Whether the part does the holding: "which part of the spoon would hold the soup?"."""
@@ -318,7 +318,7 @@ class _Decider(Situation):
     def _of_anything(self, action: str, spoken: str, actions: Sequence[str] = ()) -> Decision | None:
         """The part of something in the picture that affords an action, or what most things have for it."""
         for thing in self.seen:
-            for one in (*(actions or (action,)), *INSTEAD.get(action, ())):
+            for one in (*(actions or (action,)), *self.know.instead.get(action, ())):
                 if part := self._part(thing, one):
                     why = f"I see {with_article(thing.name)}: to {self._spoken(one)}, use the {part.name}."
                     return decision(noun_of(thing), part, one, why)

@@ -119,7 +119,10 @@ class Mention(Generic[T]):
 
 @dataclass(frozen=True)
 class Knowledge:
-    """The tables, and indices from stemmed phrases to what they name; `base_form` is a verb without its ending."""
+    """The tables, and indices from stemmed phrases to what they name; `base_form` is a verb without its ending.
+
+    knowledge.toml explains `instead`, `senses` and `shapes` (by stems).
+    """
 
     objects: Mapping[str, KnownThing]
     object_index: Mapping[tuple[str, ...], str]
@@ -135,6 +138,9 @@ class Knowledge:
     first_part_names: frozenset[str]
     nouns: frozenset[tuple[str, ...]]
     base_form: Mapping[tuple[str, ...], str]
+    instead: Mapping[str, Sequence[str]]
+    senses: Mapping[str, Sequence[str]]
+    shapes: Mapping[tuple[str, ...], str]
 
     def object_named(self, name: str) -> KnownThing | None:
         """The object of this name or with this other name."""
@@ -210,6 +216,9 @@ def knowledge() -> Knowledge:
         wishes=tuple(Wish(**row) for row in table["wishes"]),
         usual_part={stem(verb): part for part, verbs in unknown.items() for verb in verbs},
         untouchable=untouchable,
+        instead=table["instead"],
+        senses=table["senses"],
+        shapes={stem(name): shape for shape, names in table["shapes"].items() for name in names},
         base_form={stem(verb): verb for action, verbs in table["actions"].items() for verb in (action, *verbs)},
         nouns=frozenset(
             (*name[:-1], name[-1] + ending)

@@ -131,14 +131,7 @@ def tokens(text: str) -> list[str]:
 
 def _adjectives(ruled_out: Sequence[str]) -> tuple[str, ...]:
     """The actions implied by ruled-out adjectives: the part that is not sharp does not cut."""
-    return tuple(action for word in ruled_out for action in SENSES.get(word, ()))
-
-
-SENSES = {
-    "sharp": ("cut",), "hot": ("cook",), "pointed": ("spear",), "pointy": ("spear",), "spiky": ("spear",),
-    "hollow": ("contain",),
-}  # fmt: skip
-"""The actions that an adjective implies for a part."""
+    return tuple(action for word in ruled_out for action in knowledge().senses.get(word, ()))
 
 
 def _verbs(words: Sequence[str], know: Knowledge) -> list[Verb]:

@@ -62,19 +62,6 @@ SHAPES = (
 
 _ALONG = ("grip", "work", "tip")
 
-# Parts of objects that the knowledge base does not hold.
-_BY_NAME = {
-    "handle": "handle", "grip": "handle", "hilt": "handle", "knob": "spot", "button": "spot", "switch": "spot",
-    "dial": "spot", "trigger": "spot", "latch": "spot", "lock": "spot", "keyhole": "spot", "lid": "top", "cap": "top",
-    "cover": "top", "top": "top", "cork": "top", "base": "bottom", "bottom": "bottom", "foot": "bottom",
-    "feet": "bottom", "leg": "bottom", "rim": "rim", "lip": "rim", "edge": "rim", "spout": "spout", "nozzle": "tip",
-    "beak": "spout", "tip": "tip", "point": "tip", "end": "tip", "nib": "tip", "blade": "work", "head": "work",
-    "shaft": "grip", "bristle": "work", "tine": "work", "prong": "work", "jaw": "work", "teeth": "work",
-    "bit": "work", "body": "body", "inside": "opening", "interior": "opening", "bowl": "work", "opening": "opening",
-    "mouth": "opening",
-    "neck": "work", "stem": "middle", "loop": "loop", "strap": "loop", "ring": "loop", "ear": "loop",
-}  # fmt: skip
-_STEMMED = {stem(name): shape for name, shape in _BY_NAME.items()}
 _PLACE = re.compile(
     r" (?:below|under|underneath|beneath|above|over|on|onto|in|inside|at|by|near|next|beside|behind|between|against"
     r"|from|to|that|which|with) "
@@ -117,14 +104,13 @@ def wanted(phrase: str) -> Wanted:
     if objects and objects[0].end - objects[0].start == len(plain):
         thing = objects[0].value
         return replace(_whole(thing), **_qualifiers(content, thing))
-    if stem(plain) in _STEMMED:
-        shape = _STEMMED[stem(plain)]
+    if shape := know.shapes.get(stem(plain)):
         return Wanted(shape, part=_PART_MAPS[shape])
     decision = decide(phrase)
     if decision.part_name and decision.object_name:
         return _part(decision.part_name, know.object_named(decision.object_name))
-    named = next((_STEMMED[stem(word)] for word in reversed(said) if stem(word) in _STEMMED), None)
-    return Wanted(named, part=_PART_MAPS[named]) if named else Wanted("whole")
+    shape = next((know.shapes[stem(word)] for word in reversed(said) if stem(word) in know.shapes), "whole")
+    return Wanted(shape, part=_PART_MAPS[shape])
 
 
 def _qualifiers(said: Sequence[str], thing: KnownThing | None = None) -> dict[str, str]:
@@ -163,8 +149,7 @@ def _part(name: str, thing: KnownThing | None) -> Wanted:
         for part in thing.parts if thing else ():
             if part.is_called(stems[start:]):
                 return replace(whole, shape=part.shape, part=part.map or _PART_MAPS[part.shape])
-        if stems[start:] in _STEMMED:
-            shape = _STEMMED[stems[start:]]
+        if shape := knowledge().shapes.get(stems[start:]):
             return replace(whole, shape=shape, part=_PART_MAPS[shape])
     return whole
 

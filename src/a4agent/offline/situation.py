@@ -11,15 +11,6 @@ from a4agent.offline.language import Reading, Verb
 from a4agent.offline.noun_phrases import Noun
 
 BY_HAND = frozenset(["activate", "adjust", "close", "fasten", "grasp", "open", "press", "pull", "push", "turn", "hang"])
-INSTEAD = {
-    "hang": ("grasp",), "throw": ("grasp",), "kick": ("push", "grasp"), "extract": ("pull", "grasp"),
-    "fasten": ("turn", "open"), "turn": ("adjust", "activate"), "lean": ("sit",), "press": ("activate", "squeeze"),
-    "wrap-grasp": ("grasp",), "pry": ("open",), "scoop": ("contain",), "contain": ("scoop", "open"),
-    "support": ("contain", "flip"), "activate": ("press", "open"), "squeeze": ("grasp",), "pull": ("open", "grasp"),
-    "push": ("press", "close", "grasp"),
-    "swing": ("grasp",), "pound": ("chop",), "unlock": ("open",), "wash": ("grasp",), "cook": ("contain",),
-}  # fmt: skip
-"""The actions to try in place of one that no part of a thing affords."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +60,7 @@ class Situation:
 
     def _instead(self, verb: Verb) -> tuple[str, ...]:
         bare = self.know.action_index.get(stem(verb.text.split()[:1]), ()) if " " in verb.text else ()
-        near = [action for one in verb.actions[:2] for action in INSTEAD.get(one, ())]
+        near = [action for one in verb.actions[:2] for action in self.know.instead.get(one, ())]
         return (*(action for action in bare if action in BY_HAND), *near)
 
     def _part(self, thing: KnownThing, action: str) -> KnownPart | None:
