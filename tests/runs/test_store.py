@@ -127,7 +127,7 @@ def test_a_damaged_line_in_the_middle_is_named(tmp_path: Path) -> None:
         run.add(row("a"))
     path = tmp_path / "run" / "samples.jsonl"
     path.write_bytes(b'{"id": "x", "stat\n' + path.read_bytes())
-    with pytest.raises(DataError, match="line 1"):
+    with pytest.raises(DataError, match=r"^line 1 of "):
         read_run(tmp_path / "run")
 
 
