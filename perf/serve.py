@@ -169,6 +169,7 @@ def soak(profile: str, clients: int, count: int) -> dict[str, object]:
             for thread in threads:
                 thread.join()
             memory.append(round(memory_mib(server.pid), 1))
+            print(f"{(tenth + 1) * count // 10} requests: {memory[-1]} MiB", file=sys.stderr, flush=True)
     finally:
         server.stdin.close()
         server.wait(30)
