@@ -4,8 +4,9 @@
      "image": "images/drawer-open-003.png", "depth": "depth/drawer-open-003.png", "part": "parts/drawer-open-003.png",
      "thing": "things/drawer-open-003.png", "camera_matrix": [[...]], "camera_pose": [[...]]}
 
-Licence: Meta-World's assets and success tests, MIT (`act_tasks` says which). Where to get it: the set is rendered at
-first use and kept in the cache. There is no official scorer; masks are scored by `strict`, and the measures are
+Licence: assets and success tests of Meta-World (MIT) and, for the microwave, of gymnasium-robotics (Apache-2.0). Where
+to get it: the set is rendered at first use and kept in the cache. There is no official scorer; masks are scored by
+`strict`, and the measures are
 
     success         the environment's own test held at some step
     success (ok)    the same over the answers with the status "ok": not abstained, failed or empty
@@ -92,7 +93,7 @@ def create(
     named = [name for row in rows for name in (row.image, row.depth, row.part, row.thing)]
     return Benchmark(
         name="sim-act",
-        licence="rendered from Meta-World's assets (MIT)",
+        licence="rendered from MIT and Apache-2.0 assets",
         source=SOURCE,
         root=root,
         size=len(rows),

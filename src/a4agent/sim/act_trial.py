@@ -32,7 +32,7 @@ WORKSPACE = np.array([[-0.5, 0.4, 0.05], [0.5, 1.0, 0.5]])
 """Where the hand may go: `hand_low` and `hand_high` of the environments."""
 REACH = WORKSPACE - np.array([0.0, 0.0, 0.05])
 """Where its fingertips may go: they are five centimetres below."""
-BEYOND = 0.05
+BEYOND = 0.1
 """Metres that a contact may lie beyond that: the hand then goes as far as it can."""
 DOWN, TURNED = (1, 0, 1, 0), (1, -1, 1, 1)
 """Attitudes of the hand, fingers down, as quaternions w x y z: they close along y, or along x."""
