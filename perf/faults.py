@@ -91,11 +91,15 @@ class Workplace:
         """`a4 bench` into `run` in a child process; returns its number. What it prints goes to `run`.log."""
         process = os.fork()
         if process == 0:
-            log = os.open(self.log(run), os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-            os.dup2(log, 2)
-            prepare()
-            data, profile = str(self.folder / "data"), str(self.folder / "drawn.toml")
-            killable.child(["bench", "folder", "--data", data, "--profile", profile, "--out", str(run), *more], None)
+            try:
+                log = os.open(self.log(run), os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+                os.dup2(log, 2)
+                prepare()
+                data, profile = str(self.folder / "data"), str(self.folder / "drawn.toml")
+                command = ["bench", "folder", "--data", data, "--profile", profile, "--out", str(run), *more]
+                killable.child(command, None)
+            finally:  # a signal may come before `a4` runs; unwound any further, the child would remove our folder
+                os._exit(130)
         return process
 
     def log(self, run: Path) -> Path:
