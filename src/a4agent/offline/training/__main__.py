@@ -15,8 +15,8 @@ import numpy as np
 
 from a4agent.errors import A4Error
 from a4agent.offline import eye
-from a4agent.offline.training import card, scores, shards, simulator
-from a4agent.offline.training.export import difference, export
+from a4agent.offline.training import shards, simulator
+from a4agent.offline.training.export import difference, export, measure, write_card
 from a4agent.offline.training.train import TrainSettings, train
 from a4agent.sim.assets import check_installed
 from a4agent.sim.catalogue import built_in
@@ -46,8 +46,8 @@ def main() -> None:
 
     export(network, options.out)
     apart = difference(network, options.out)
-    measured = scores.measure(network, shards.draw_shard(options.work / "held_out", HELD_OUT_SEED, 0))
-    text = card.write(settings, steps, len(shards.found(folder)), measured, apart)
+    measured = measure(network, shards.draw_shard(options.work / "held_out", HELD_OUT_SEED, 0))
+    text = write_card(settings, steps, len(shards.found(folder)), measured, apart)
     options.out.with_name("eye_card.md").write_text(text, encoding="utf-8")
     log.info("wrote %s: %s", options.out, measured)
 

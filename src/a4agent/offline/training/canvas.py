@@ -9,9 +9,7 @@ import numpy as np
 
 from a4agent.imaging.load import read_pixels
 from a4agent.offline.training.grounds import ground, noise
-from a4agent.offline.training.outlines import Rng
-from a4agent.offline.training.paints import Paint
-from a4agent.offline.training.things import DrawnThing
+from a4agent.offline.training.pieces import DrawnThing, Paint, Rng
 
 SIDE = 176
 """Pixels of a finished drawing; training crops 160 of them."""
@@ -103,13 +101,13 @@ def paint_thing(rng: Rng, image: np.ndarray, parts: np.ndarray, thing: DrawnThin
         shadow = np.zeros((FINE, FINE), np.uint8)
         reach = np.array([np.cos(light), np.sin(light)]) * rng.uniform(0, 0.07) * FINE
         for piece, outline in shapes:
-            colour = 255 if piece.part else 0
+            colour = 255 if piece.paint else 0
             cv2.fillPoly(
                 shadow, [np.round((outline + reach) * (1 << SHIFT)).astype(np.int32)], colour, cv2.LINE_AA, SHIFT
             )
         soft = cv2.GaussianBlur(shadow, (0, 0), rng.uniform(1, 12)).astype(np.float32) * (rng.uniform(0.1, 0.65) / 255)
         image *= 1 - soft[..., None]
-    behind = image.copy() if any(not piece.part for piece in thing.pieces) else None
+    behind = image.copy() if any(piece.paint is None for piece in thing.pieces) else None
     for piece, outline in shapes:
         if (window := _mask(outline)) is None:
             continue

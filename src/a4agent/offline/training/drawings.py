@@ -13,16 +13,14 @@ import numpy as np
 
 from a4agent.offline.training import canvas
 from a4agent.offline.training.fixtures import FIXTURES
-from a4agent.offline.training.grounds import texture
-from a4agent.offline.training.outlines import Rng, blob, ellipse, line, rectangle, strip
-from a4agent.offline.training.paints import plain
+from a4agent.offline.training.grounds import marker, sheet, texture
+from a4agent.offline.training.pieces import DrawnThing, Patch, Rng, blob, ellipse, line, plain, rectangle, strip
 from a4agent.offline.training.solids import any_view, cuboid
-from a4agent.offline.training.things import DrawnThing, Patch
 from a4agent.offline.training.tools import TOOLS
 from a4agent.offline.training.vessels import VESSELS
 from a4agent.offline.vocabulary import BODY, NOTHING
 
-EMPTY = 0.12
+EMPTY = 0.15
 """The share of drawings that show no thing."""
 LEAST_CONTRAST = 24.0
 FAMILIES: tuple[tuple[dict[Callable[[Rng], DrawnThing], float], float], ...] = (
@@ -146,16 +144,21 @@ def _plain_thing(rng: Rng) -> DrawnThing:
 
 
 def _draw_nothing(rng: Rng, image: np.ndarray, light: float) -> None:
-    """Textures, text, plants, plain things: all background."""
+    """Textures, text, plants, cards, markers, plain things: all background."""
     size = canvas.FINE
     unused = np.zeros((size, size), np.uint8)
     pick = rng.random()
-    if pick < 0.45:
+    if pick < 0.2:
+        for _ in range(int(rng.integers(1, 3))):
+            x, y = 0.5 + rng.normal(0, 0.06, 2)
+            draw_flat = marker if rng.random() < 0.5 else sheet
+            draw_flat(rng, image, (float(x), float(y)), rng.uniform(0.1, 0.4))
+    elif pick < 0.5:
         for _ in range(int(rng.integers(1, 4))):
             thing = _plain_thing(rng)
             at = canvas.place(rng, thing, rng.uniform(0.3, 0.9), tuple(rng.uniform(0.3, 0.7, 2)))  # pyright: ignore[reportArgumentType]
             canvas.paint_thing(rng, image, unused, thing, at, light)
-    elif pick < 0.6:  # text
+    elif pick < 0.63:  # text
         for y in np.arange(rng.uniform(10, 40), size, rng.uniform(14, 50)):
             letters = "".join(chr(rng.integers(65, 122)) for _ in range(20))
             colour = tuple(float(v) for v in rng.uniform(0, 255, 3))

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from a4agent.offline.training.outlines import Rng, ellipse, line, rectangle, strip, widths
-from a4agent.offline.training.paints import Paint, metal, plain
-from a4agent.offline.training.things import Patch
+from a4agent.offline.training.pieces import Paint, Patch, Rng, ellipse, line, metal, plain, rectangle, strip, widths
 from a4agent.offline.vocabulary import GRIP, NOTHING, WORK
 
 

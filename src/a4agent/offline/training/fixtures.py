@@ -6,8 +6,18 @@ from collections.abc import Callable
 
 import numpy as np
 
-from a4agent.offline.training.outlines import Rng, ellipse, line, rectangle, strip, widths
-from a4agent.offline.training.paints import metal, plain
+from a4agent.offline.training.pieces import (
+    DrawnThing,
+    Patch,
+    Rng,
+    ellipse,
+    line,
+    metal,
+    plain,
+    rectangle,
+    strip,
+    widths,
+)
 from a4agent.offline.training.solids import (
     BoxView,
     any_view,
@@ -21,7 +31,6 @@ from a4agent.offline.training.solids import (
     lever_handle,
     on_front,
 )
-from a4agent.offline.training.things import DrawnThing, Patch
 from a4agent.offline.vocabulary import BODY, CONTROL, GRIP, INSIDE, LID, SPOUT
 
 

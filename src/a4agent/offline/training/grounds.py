@@ -7,8 +7,7 @@ import functools
 import cv2
 import numpy as np
 
-from a4agent.offline.training.outlines import Rng, blob, ellipse, rotate
-from a4agent.offline.training.paints import any_colour, wood
+from a4agent.offline.training.pieces import Rng, any_colour, blob, ellipse, rotate, wood
 
 NOISES = 24
 PLAIN = 0.4
@@ -139,21 +138,33 @@ def _markers(rng: Rng, image: np.ndarray, size: int) -> None:
     for _ in range(int(rng.integers(1, 4))):
         angle = rng.uniform(0, 2 * np.pi)
         x, y = 0.5 + np.array([np.cos(angle), np.sin(angle)]) * rng.uniform(0.38, 0.6)
-        half, turn, n = rng.uniform(0.04, 0.16), rng.uniform(0, 360), int(rng.integers(2, 7))
-        cells = rng.random((n, n)) < 0.5
-        shape = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
-        slant = np.array([[1, rng.normal() * 0.2], [0, rng.uniform(0.6, 1)]])
+        marker(rng, image, (float(x), float(y)), rng.uniform(0.04, 0.16))
 
-        def put(outline: np.ndarray, colour: float) -> None:
-            _fill(image, (rotate(outline, turn) @ slant * half + [x, y]) * size, np.full(3, colour))  # noqa: B023
 
-        put(shape * 1.25, rng.uniform(190, 255))
-        put(shape, rng.uniform(0, 50))
-        for row in range(n):
-            for column in range(n):
-                if cells[row, column]:
-                    at = (np.array([column, row]) + 0.5) / n * 2 - 1
-                    put(shape / n * 0.98 + at, 235.0)
+def marker(rng: Rng, image: np.ndarray, center_xy: tuple[float, float], half: float) -> None:
+    """A slanted black-and-white marker of random cells; its centre and half side are shares of the picture."""
+    size, turn, n = len(image), rng.uniform(0, 360), int(rng.integers(2, 7))
+    cells = rng.random((n, n)) < 0.5
+    shape = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
+    slant = np.array([[1, rng.normal() * 0.2], [0, rng.uniform(0.6, 1)]])
+
+    def put(outline: np.ndarray, colour: float) -> None:
+        _fill(image, (rotate(outline, turn) @ slant * half + center_xy) * size, np.full(3, colour))
+
+    put(shape * 1.25, rng.uniform(190, 255))
+    put(shape, rng.uniform(0, 50))
+    for row, column in np.argwhere(cells):
+        put(shape / n * 0.98 + (np.array([column, row]) + 0.5) / n * 2 - 1, 235.0)
+
+
+def sheet(rng: Rng, image: np.ndarray, center_xy: tuple[float, float], half: float) -> None:
+    """A blank or printed card, a sheet of paper, a board: a flat thing that is no thing to act on."""
+    size = len(image)
+    quad = _quad(rng, size, half, *center_xy)
+    other = texture(rng, size) if rng.random() < 0.4 else None
+    mask = np.zeros((size, size), np.uint8)
+    cv2.fillPoly(mask, [np.round(quad).astype(np.int32)], 1)
+    image[mask > 0] = other[mask > 0] if other is not None else any_colour(rng)
 
 
 def _clutter(rng: Rng, image: np.ndarray, size: int) -> None:

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from a4agent.offline.training.outlines import Rng, ellipse, line, rectangle, strip
-from a4agent.offline.training.paints import Paint, metal, plain
-from a4agent.offline.training.things import Patch
+from a4agent.offline.training.pieces import Paint, Patch, Rng, ellipse, line, metal, plain, rectangle, strip
 from a4agent.offline.vocabulary import BODY, GRIP
 
 

@@ -7,9 +7,21 @@ from collections.abc import Callable
 import numpy as np
 
 from a4agent.offline.training.ends import blade_pieces, grip_pieces, holes, materials
-from a4agent.offline.training.outlines import Rng, arc, blob, ellipse, line, rectangle, rotate, strip, widths
-from a4agent.offline.training.paints import metal, plain
-from a4agent.offline.training.things import DrawnThing, Patch
+from a4agent.offline.training.pieces import (
+    DrawnThing,
+    Patch,
+    Rng,
+    arc,
+    blob,
+    ellipse,
+    line,
+    metal,
+    plain,
+    rectangle,
+    rotate,
+    strip,
+    widths,
+)
 from a4agent.offline.vocabulary import GRIP, NOTHING, WORK
 
 

@@ -13,16 +13,14 @@ import torch
 from torch import Tensor, nn
 
 from a4agent.offline.training import shards
-from a4agent.offline.training.network import SIDE, Eye
+from a4agent.offline.training.network import Eye
 from a4agent.offline.vocabulary import GRIP, PARTS
 
 log = logging.getLogger(__name__)
 
-WEIGHTS = (0.6, 1.2, 1.2, 0.7, 1.0, 1.6, 1.0, 1.2)
+WEIGHTS = (0.6, 1.2, 1.2, 0.7, 1.0, 2.0, 1.2, 3.0)
 """How much a pixel of each part counts."""
 KIND_SHARE = 0.4
-POOL = 24
-"""Shards in memory at a time."""
 RENEW = 16
 """Steps between two shards."""
 COARSE = 128
@@ -50,62 +48,6 @@ class TrainSettings:
     threads: int = 1
     seed: int = 0
     checkpoint_seconds: float = 120.0
-
-
-class Pool:
-    """Random drawings out of a few shards, which change; new ones first."""
-
-    def __init__(self, folder: Path, rng: np.random.Generator) -> None:
-        self._folder, self._rng = folder, rng
-        self._shards: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-        self._seen: dict[Path, int] = {}
-
-    def renew(self, plain: bool = False) -> None:
-        """Take in the shard that was read least often, or the plainer half of it, and drop the oldest."""
-        paths = shards.found(self._folder)
-        if not paths:
-            raise FileNotFoundError(f"no shards in {str(self._folder)!r}")
-        path = min(paths, key=lambda path: (self._seen.get(path, 0), self._rng.random()))
-        self._seen[path] = self._seen.get(path, 0) + 1
-        read = shards.read(path)
-        if plain:
-            kept = shards.plain(*read)
-            read = read[0][kept], read[1][kept], read[2][kept]
-        self._shards = [*self._shards[-(POOL - 1) :], read]
-
-    def batch(self, size: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Changed crops (size, 3, SIDE, SIDE) in -1..1, parts (size, SIDE, SIDE), kinds (size,)."""
-        images, parts, kinds = [], [], []
-        for _ in range(size):
-            drawn = self._shards[self._rng.integers(len(self._shards))]
-            index = self._rng.integers(len(drawn[2]))
-            image, part = _moved(self._rng, drawn[0][index], drawn[1][index])
-            images.append(_coloured(self._rng, image))
-            parts.append(part)
-            kinds.append(drawn[2][index])
-        crops = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2)
-        return crops, torch.from_numpy(np.stack(parts).astype(np.int64)), torch.from_numpy(np.array(kinds, np.int64))
-
-
-def _moved(rng: np.random.Generator, image: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A crop of SIDE pixels, mirrored and turned by quarters."""
-    y, x = rng.integers(0, image.shape[0] - SIDE + 1, 2)
-    image, parts = image[y : y + SIDE, x : x + SIDE], parts[y : y + SIDE, x : x + SIDE]
-    if rng.random() < 0.5:
-        image, parts = image[:, ::-1], parts[:, ::-1]
-    turn = int(rng.choice([0, 0, 1, 2, 3]))
-    return np.rot90(image, turn), np.rot90(parts, turn)
-
-
-def _coloured(rng: np.random.Generator, image: np.ndarray) -> np.ndarray:
-    """Other gains, in -1..1 float32."""
-    look = image.astype(np.float32) / 127.5 - 1
-    look = look * (rng.uniform(0.7, 1.3) + rng.normal(0, 0.06, 3)) + rng.normal(0, 0.1)
-    if rng.random() < 0.08:
-        look[:] = look.mean(2, keepdims=True)
-    elif rng.random() < 0.1:
-        look = look[..., rng.permutation(3)]
-    return np.clip(look, -1.2, 1.2).astype(np.float32)
 
 
 def loss_of(parts: Tensor, kinds: Tensor, true_parts: Tensor, true_kinds: Tensor, weights: Tensor) -> Tensor:
@@ -145,9 +87,9 @@ def train(folder: Path, checkpoint: Path, settings: TrainSettings) -> tuple[Eye,
         optimizer.load_state_dict(saved["optimizer"])
         step, spent = saved["step"], saved["spent"]
         log.info("resumed at step %d after %.1f minutes", step, spent / 60)
-    pool = Pool(folder, np.random.default_rng([settings.seed, step]))
-    for _ in range(POOL if len(shards.found(folder)) >= POOL else len(shards.found(folder))):
-        pool.renew(plain=spent > 60 * settings.minutes * settings.plain_from)
+    pool = shards.Pool(folder, np.random.default_rng([settings.seed, step]))
+    for _ in range(min(shards.POOL, len(shards.found(folder)))):
+        pool.renew(calm=spent > 60 * settings.minutes * settings.plain_from)
     weights = torch.tensor(WEIGHTS)
     started = last_saved = time.monotonic()
     running: list[float] = []
@@ -161,7 +103,7 @@ def train(folder: Path, checkpoint: Path, settings: TrainSettings) -> tuple[Eye,
         for group in optimizer.param_groups:
             group["lr"] = group["peak"] * warm * (0.01 + 0.99 * (1 + math.cos(math.pi * share)) / 2)
         if step % RENEW == 0:
-            pool.renew(plain=share > settings.plain_from)
+            pool.renew(calm=share > settings.plain_from)
         crops, true_parts, true_kinds = pool.batch(settings.batch)
         if share < settings.coarse_until:
             crops = nn.functional.interpolate(crops, (COARSE, COARSE), mode="bilinear", antialias=True)
