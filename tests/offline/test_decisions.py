@@ -90,6 +90,13 @@ def test_a_sentence_without_a_noun_is_about_what_is_in_the_picture(seen: tuple[s
     assert decide("find the part that can cut", seen).phrase == phrase
 
 
+def test_what_a_part_can_turn_is_not_where_it_is_turned() -> None:
+    asked = "find the part of the object that can turn"
+    assert decide(asked, ("screwdriver",)).phrase == "the shaft of the screwdriver"
+    assert decide(asked, ("faucet",)).phrase == "the handle of the faucet"
+    assert decide("turn it", ("screwdriver",)).phrase == "the handle of the screwdriver"
+
+
 def test_a_thing_that_is_not_in_the_picture_is_named_as_missing() -> None:
     decision = decide("pick up the mug", ("knife",), frozenset(["mug"]))
     assert decision.phrase == "the handle of the mug"

@@ -28,6 +28,8 @@ _FACTS = re.compile(
 )
 _SHUT = frozenset(["stuck", "jammed", "sealed", "closed", "shut"])
 _PART_FOR = re.compile(r"\bparts? (?:.* )?(?:could|for|used|suitable|meant)\b")
+DOES = {"turn": ("fasten",)}
+"""What a part that can do something does to other things: the tip of a screwdriver turns screws."""
 _UNDERGONE = frozenset(["climb", "drink", "kick", "lie", "play", "ride", "sit", "throw", "wear", "contain"])
 """Actions that a named thing undergoes itself: nobody reaches for a ball to kick a door."""
 
@@ -317,8 +319,9 @@ class _Decider(Situation):
 
     def _of_anything(self, action: str, spoken: str, actions: Sequence[str] = ()) -> Decision | None:
         """The part of something in the picture that affords an action, or what most things have for it."""
+        of_its_own = DOES.get(action, ()) if _PART_FOR.search(self.reading.text) else ()
         for thing in self.seen:
-            for one in (*(actions or (action,)), *self.know.instead.get(action, ())):
+            for one in (*of_its_own, *(actions or (action,)), *self.know.instead.get(action, ())):
                 if part := self._part(thing, one):
                     why = f"I see {with_article(thing.name)}: to {self._spoken(one)}, use the {part.name}."
                     return decision(noun_of(thing), part, one, why)
