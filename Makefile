@@ -28,7 +28,7 @@ check:
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python -m pytest -rs -n 2 --dist loadfile
 
-# The network of the offline profile: draws, trains for 75 minutes, exports; goes on after a stop.
+# The network of the offline profile: draws, trains for 160 minutes, exports; goes on after a stop.
 train: .venv/.test
 	$(PIP) $(TORCH) -e '.[train]'
 	$(BIN)/python -m a4agent.offline.training

@@ -104,15 +104,16 @@ def mug() -> Callable[..., Drawing]:
 
 @pytest.fixture(scope="session")
 def pan() -> Callable[..., Drawing]:
-    """A dark disc with a long handle."""
+    """A grey disc in a dark wall, with a long handle."""
 
     def draw(degrees: float = 15, table: tuple[int, int, int] = (214, 205, 190), size: tuple[int, int] = (480, 360)):
         shapes = [
             ("polygon", "handle", [(265, 172), (400, 172), (400, 190), (265, 190)], (70, 45, 30)),
-            ("ellipse", "pan", [(100, 95), (270, 265)], (38, 38, 42)),
+            ("ellipse", "wall", [(100, 95), (270, 265)], (38, 38, 42)),
+            ("ellipse", "pan", [(110, 105), (260, 255)], (92, 92, 98)),
         ]
         drawing = _compose(shapes, size, table, degrees)
-        drawing.parts["handle"] &= ~drawing.parts["pan"]
+        drawing.parts["handle"] &= ~drawing.parts["wall"]
         return drawing
 
     return draw

@@ -10,12 +10,12 @@ import pytest
 from PIL import Image
 
 from a4agent.offline import create
-from a4agent.offline.choice import choose
 from a4agent.offline.colour import name_of
 from a4agent.offline.eye import look
-from a4agent.offline.phrases import wanted
-from a4agent.offline.vocabulary import GRIP, WORK
-from a4agent.protocols import DetectRequest, Prompt, SegmentRequest
+from a4agent.offline.training.drawings import draw
+from a4agent.offline.vocabulary import GRIP, PARTS, WORK
+from a4agent.protocols import DetectRequest, Prompt, Segmentation, SegmentRequest
+from a4agent.types import Detection
 
 
 @pytest.fixture(scope="module")
@@ -46,29 +46,59 @@ def test_colour_and_side_tell_things_apart(two_mugs: Image.Image, phrase: str, r
     assert (point_of(two_mugs, phrase)[0] > 320) == right
 
 
-@pytest.mark.parametrize("phrase", ["the handle of the mug", "the inside of the mug", "the handle of the drawer"])
-def test_a_key_point_lies_in_its_mask(two_mugs: Image.Image, phrase: str) -> None:
-    found = create("parts", "detector").detect([DetectRequest(two_mugs, phrase)])[0]
-    prompt = Prompt(found.boxes_xyxy[0], found.points_xy)  # type: ignore[union-attr]
-    mask = create("parts", "segmenter").segment([SegmentRequest(two_mugs, (prompt,))])[0].masks[0, 0]
-    x, y = np.floor(found.points_xy[0]).astype(int)  # type: ignore[union-attr]
-    assert mask[y, x]
+PHRASES = [
+    "the handle of the mug",
+    "the inside of the mug",
+    "the blade of the knife",
+    "the rim of the cup",
+    "the drawer",
+]
 
 
-def test_the_network_says_which_end_is_the_grip(screwdriver: Callable) -> None:
-    """Rules cut the tool; maps with both ends exchanged exchange their answers."""
+def pictures() -> list[Image.Image]:
+    """Random drawings of all kinds, noise, and noise with a bright patch."""
+    drawn = [Image.fromarray(draw(np.random.default_rng([77, k])).image) for k in range(10)]
+    rng = np.random.default_rng(5)
+    noise = rng.integers(0, 256, (90, 160, 3), np.uint8).astype(np.uint8)
+    patched = (noise // 4).astype(np.uint8)
+    patched[30:60, 50:120] += 150
+    return [*drawn, Image.fromarray(noise), Image.fromarray(patched)]
+
+
+def test_a_key_point_lies_in_its_mask_and_its_thing(two_mugs: Image.Image) -> None:
+    for picture in (two_mugs, *pictures()):
+        for phrase in PHRASES:
+            found = create("parts", "detector").detect([DetectRequest(picture, phrase)])[0]
+            assert isinstance(found, Detection)
+            if not len(found.points_xy):
+                assert not any(thing.mask.any() for thing in look(picture))
+                continue
+            prompt = Prompt(found.boxes_xyxy[0], found.points_xy)
+            answer = create("parts", "segmenter").segment([SegmentRequest(picture, (prompt,))])[0]
+            assert isinstance(answer, Segmentation)
+            x, y = np.floor(found.points_xy[0]).astype(int)
+            assert answer.masks[0, 0][y, x]
+            assert any(thing.mask[y, x] for thing in look(picture))
+
+
+def test_a_long_thing_is_cut_straight_where_the_maps_change(screwdriver: Callable) -> None:
+    """Exchanged maps exchange the ends, and a stray patch of the other label does not fray the cut."""
     (thing, *_) = look(screwdriver().image)
-    assert thing.silhouette is not None
-    maps = thing.maps.copy()
-    maps[[GRIP, WORK]] = 0.1
-    (grip, shaft) = (choose(wanted(f"the {part} of the screwdriver"), [thing]) for part in ("handle", "shaft"))
-    assert grip is not None
-    assert shaft is not None
-    for part, mask in ((GRIP, shaft.mask), (WORK, grip.mask)):
-        maps[part][thing.in_window(mask)] = 0.9
-    exchanged = [replace(thing, maps=maps)]
-    assert (choose(wanted("the handle of the screwdriver"), exchanged).mask == shaft.mask).all()  # type: ignore[union-attr]
-    assert (choose(wanted("the shaft of the screwdriver"), exchanged).mask == grip.mask).all()  # type: ignore[union-attr]
+    grip = thing.part("grip", kind="screwdriver")
+    exchanged = thing.maps.copy()
+    exchanged[[GRIP, WORK]] = exchanged[[WORK, GRIP]]
+    assert (replace(thing, maps=exchanged).part("work", kind="screwdriver") == grip).mean() > 0.99
+    y, x = np.argwhere(grip).mean(0).astype(int)
+    frayed = thing.maps.copy()
+    frayed[[GRIP, WORK], y - 2 : y + 2, x - 2 : x + 2] = [[[0.05]], [[0.9]]]
+    assert (replace(thing, maps=frayed).part("grip", kind="screwdriver") == grip).mean() > 0.99
+
+
+def test_a_thing_has_only_the_parts_of_its_kind(screwdriver: Callable) -> None:
+    (thing, *_) = look(screwdriver().image)
+    assert not thing.part("body", "inside", "lid", kind="knife").any()
+    assert not thing.part("work", kind="mug").any()
+    assert (thing.part(*PARTS[1:], kind="mug") == thing.shown).all()
 
 
 def test_kinds_sum_to_one(two_mugs: Image.Image) -> None:

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from a4agent.files import read_package_toml
 from a4agent.offline.knowledge import find, knowledge, stem, words
 from a4agent.offline.phrases import SHAPES, wanted
-from a4agent.offline.profile import Layout
 
 TABLE = read_package_toml("a4agent.offline", "knowledge.toml")
 
@@ -99,4 +98,3 @@ def test_phrases_of_unknown_things_degrade() -> None:
     assert wanted("").shape == "whole"
     assert wanted("the left handle of the big red pan").shape == "arm"
     assert wanted("cut the bread").shape == "work"
-    assert wanted("the shaft of the screwdriver").layout == Layout(0.5, 0.45, steel=True)

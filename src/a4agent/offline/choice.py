@@ -6,14 +6,14 @@ choose(wanted("the handle of the black mug"), look(image)) -> Choice(thing=<the 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from a4agent.errors import require
-from a4agent.offline.eye import SIDE, SeenObject
-from a4agent.offline.phrases import Wanted, everything
-from a4agent.offline.vocabulary import GRIP, KINDS, PARTS, WORK
+from a4agent.offline.phrases import Wanted
+from a4agent.offline.seen_object import LEAST_PART, SeenObject
+from a4agent.offline.vocabulary import KINDS, PARTS, PARTS_OF
 
 ALIKE: tuple[frozenset[str], ...] = (
     frozenset({"knife", "saw"}),
@@ -27,38 +27,19 @@ ALIKE: tuple[frozenset[str], ...] = (
 )
 """Kinds that the network takes for each other."""
 STAND_INS = {
-    "grip": ("grip", "control"), "work": ("work", "lid", "spout"), "body": ("body", "inside"),
+    "grip": ("grip", "control"), "work": ("work", "control", "lid", "spout"), "body": ("body", "inside"),
     "inside": ("inside", "work"), "control": ("control", "grip"), "lid": ("lid", "inside", "spout"),
     "spout": ("spout", "lid"),
 }  # fmt: skip
 """What to look for when a thing has no such part: the first that it has."""
-BY_OUTLINE = frozenset(
-    {
-        "whole",
-        "grip",
-        "handle",
-        "work",
-        "tip",
-        "loop",
-        "arm",
-        "spout",
-        "body",
-        "opening",
-        "rim",
-        "middle",
-        "lower",
-        "bottom",
-        "top",
-    }
-)
-"""Shapes that the rules over an outline find best."""
-ENDS = {"grip": "work", "work": "grip"}
-SWAPPED = 0.2
-"""From this difference of "grip" less "work" on, the network turns the rules' two ends round."""
 UNNAMED = frozenset({"none", "other"})
 """Kinds that are no name for a thing."""
-LEAST_PART = 16
-"""Pixels of a thing's window, of 160 x 160."""
+PLACES = ("rim", "bottom", "top")
+"""Shapes that are places on a body."""
+RIM = 5
+"""Pixels of the window that a rim is wide."""
+SPECK = 0.15
+"""A piece of a part is left out if it is smaller than this share of the largest piece."""
 NEAR_COLOURS = {
     "silver": ("grey", "white"), "gold": ("yellow", "brown", "orange"), "beige": ("brown", "white", "yellow"),
     "grey": ("white", "black"), "brown": ("orange", "beige", "red"), "orange": ("brown", "red", "yellow"),
@@ -86,8 +67,9 @@ def choose(wanted: Wanted, things: Sequence[SeenObject]) -> Choice | None:
     scores = [_fit(wanted, thing) for thing in things]
     if wanted.side or wanted.size or wanted.colour:
         scores = _told_apart(wanted, things, scores)
-    best = int(np.argmax(scores))
-    return Choice(things[best], _mask(wanted, things[best]), match(wanted, things[best]))
+    best = things[int(np.argmax(scores))]
+    mask = best.region(_region(wanted, best))
+    return Choice(best, mask if mask.any() else best.mask, match(wanted, best))
 
 
 def match(wanted: Wanted, thing: SeenObject) -> float | None:
@@ -97,20 +79,20 @@ def match(wanted: Wanted, thing: SeenObject) -> float | None:
 
 def regions(thing: SeenObject) -> Iterator[np.ndarray]:
     """Every region of a thing that some phrase could mean, each (H, W) bool."""
-    if thing.silhouette and thing.anatomy:
-        found: dict[bytes, np.ndarray] = {}
-        for wanted in everything():
-            region = thing.anatomy.find(wanted)
-            found.setdefault(np.packbits(region).tobytes(), region)
-        for region in found.values():
-            yield thing.silhouette.to_image(region, thing.size_wh)
-    else:
-        yield thing.mask
-    for names in (*((name,) for name in PARTS[1:]), ("body", "inside"), ("inside", "work")):
-        region = thing.part(*names)
-        pieces = _pieces(region) if region.sum() >= LEAST_PART else []
-        for piece in (region, *pieces) if len(pieces) > 1 else pieces:
-            yield thing.region(piece)
+    yield thing.mask
+    found: dict[bytes, np.ndarray] = {}
+    for kind in (None, *{PARTS_OF[kind]: kind for kind in KINDS}.values()):
+        for names in (*((name,) for name in PARTS[1:]), ("body", "inside"), ("inside", "work")):
+            region = thing.part(*names, kind=kind)
+            if region.sum() >= LEAST_PART:
+                found |= {piece.tobytes(): piece for piece in (region, *_pieces(region))}
+        for asked in (
+            Wanted("tip", part="work", kind=kind),
+            *(Wanted(shape, part="body", kind=kind) for shape in PLACES),
+        ):
+            region = _region(asked, thing)
+            found[region.tobytes()] = region
+    yield from map(thing.region, found.values())
 
 
 def _fit(wanted: Wanted, thing: SeenObject) -> float:
@@ -120,8 +102,8 @@ def _fit(wanted: Wanted, thing: SeenObject) -> float:
         family = frozenset().union(*(group for group in ALIKE if wanted.kind in group))
         near = sum(thing.kinds[kind] for kind in family if kind != wanted.kind)
         score *= 0.05 + thing.kinds[wanted.kind] + 0.4 * near
-    if wanted.part != "whole" and not (thing.silhouette and wanted.shape in BY_OUTLINE):
-        score *= 0.3 + 0.7 * min(1.0, thing.part(wanted.part).sum() / 60)
+    if wanted.part != "whole":
+        score *= 0.3 + 0.7 * min(1.0, thing.part(wanted.part, kind=wanted.kind).sum() / 60)
     return float(score)
 
 
@@ -158,44 +140,14 @@ def _share(values: np.ndarray, index: int) -> float:
     return 1.0 if spread == 0 else float((values[index] - values.min()) / spread) ** 2
 
 
-def _mask(wanted: Wanted, thing: SeenObject) -> np.ndarray:
-    """The part (H, W) bool that is wanted; the whole thing if it has no part like it.
-
-    Where the thing has a clear outline, rules cut it into ends, loops and what sticks out, more exactly than the
-    network does, and the network says which of two ends is the grip. Parts that lie on the thing, and things without
-    a clear outline, are the network's alone.
-    """
-    if not (thing.silhouette and thing.anatomy and wanted.shape in BY_OUTLINE) or wanted.part_side:
-        return thing.region(_region(wanted, thing))
-
-    def cut(shape: str) -> np.ndarray:
-        assert thing.silhouette
-        assert thing.anatomy
-        return thing.silhouette.to_image(thing.anatomy.find(replace(wanted, shape=shape)), thing.size_wh)
-
-    mask = cut(wanted.shape)
-    if wanted.shape not in ENDS:
-        return mask
-    other = cut(ENDS[wanted.shape])
-    grip, work = (mask, other) if wanted.shape == "grip" else (other, mask)
-    return other if _is_swapped(thing, grip, work) else mask
-
-
-def _is_swapped(thing: SeenObject, grip: np.ndarray, work: np.ndarray) -> bool:
-    """Whether the network is sure that two ends (H, W) of a thing are the other way round."""
-    likely = thing.maps[GRIP] - thing.maps[WORK]
-    ends = [likely[thing.in_window(end)] for end in (grip, work)]
-    return all(end.size > 0 for end in ends) and float(ends[1].mean() - ends[0].mean()) > SWAPPED
-
-
 def _region(wanted: Wanted, thing: SeenObject) -> np.ndarray:
     """The part that is wanted by the network's maps, (SIDE, SIDE) bool in the thing's window."""
     if wanted.part == "whole":
         return thing.shown
     for name in STAND_INS[wanted.part]:
-        region = thing.part(name)
+        region = thing.part(name, kind=wanted.kind)
         if region.sum() >= LEAST_PART:
-            return _finer(wanted, thing, region)
+            return _finer(wanted, thing, np.any(_pieces(region), 0))
     likely = thing.maps[PARTS.index(wanted.part)] * thing.shown
     faint = likely > 0.5 * max(float(likely.max()), 1e-6)
     return faint if likely.max() > 0.15 and faint.sum() >= LEAST_PART else thing.shown
@@ -208,14 +160,23 @@ def _finer(wanted: Wanted, thing: SeenObject, region: np.ndarray) -> np.ndarray:
     if side and len(pieces) > 1:
         centres = np.array([np.argwhere(piece).mean(0)[::-1] for piece in pieces])
         return pieces[int(np.argmax(_along(side, centres)))]
-    if wanted.shape == "tip" and thing.part("grip").any():
-        return _end(region, thing.part("grip"))
-    if wanted.shape in ("rim", "bottom", "top") and wanted.part == "body":
-        rows = np.flatnonzero(region.any(1))
-        cut = rows[0] + (rows[-1] - rows[0]) * (0.8 if wanted.shape == "bottom" else 0.2)
-        below = np.arange(SIDE)[:, None] >= cut
-        return region & (below if wanted.shape == "bottom" else ~below)
+    if wanted.shape == "tip" and (grip := thing.part("grip", kind=wanted.kind)).any():
+        return _end(region, grip)
+    if wanted.shape in PLACES and wanted.part == "body":
+        return _place(wanted.shape, region, thing.part("inside", kind=wanted.kind))
     return region
+
+
+def _place(shape: str, body: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """The rim, bottom or top of a body (h, w) bool with an `inside` (h, w) bool, which may be blank."""
+    cv2 = require("cv2", extra="offline")
+    if shape == "rim" and inside.any():
+        ring = np.ones((RIM, RIM), np.uint8)
+        near = cv2.dilate(inside.astype(np.uint8), ring) - cv2.erode(inside.astype(np.uint8), ring)
+        return (near > 0) & (body | inside)
+    rows = np.flatnonzero(body.any(1))
+    below = np.arange(len(body))[:, None] >= rows[0] + (rows[-1] - rows[0]) * (0.8 if shape == "bottom" else 0.2)
+    return body & (below if shape == "bottom" else ~below)
 
 
 def _end(region: np.ndarray, grip: np.ndarray) -> np.ndarray:
@@ -233,4 +194,4 @@ def _pieces(region: np.ndarray) -> list[np.ndarray]:
     count, labels, stats, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8))
     sizes = stats[1:, cv2.CC_STAT_AREA]
     order = 1 + np.argsort(-sizes)
-    return [labels == k for k in order if stats[k, cv2.CC_STAT_AREA] >= 0.1 * sizes.max()] if count > 1 else []
+    return [labels == k for k in order if stats[k, cv2.CC_STAT_AREA] >= SPECK * sizes.max()] if count > 1 else []

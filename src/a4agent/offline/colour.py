@@ -2,12 +2,9 @@
 
 to_lab(rgb (H, W, 3) uint8) -> (H, W, 3) float32
 dominant(colours (n, 3)) -> (3,), the colour most of them have
-unlike(lab, colours) -> (H, W) distance to the nearest of some background colours, lenient to shadows
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -44,32 +41,6 @@ def dominant(colours: np.ndarray) -> np.ndarray:
         if near.any():
             mean = colours[near].mean(0)
     return mean
-
-
-def palette(colours: np.ndarray, most: int = 3, share: float = 0.15) -> list[np.ndarray]:
-    """Up to `most` dominant colours, each held by at least `share` of `colours` (n, 3)."""
-    found: list[np.ndarray] = []
-    left = colours
-    while len(found) < most and len(left) >= max(30, share * len(colours)):
-        found.append(dominant(left))
-        left = left[np.linalg.norm(left - found[-1], axis=1) >= SAME]
-    return found
-
-
-def unlike(lab: np.ndarray, background: Sequence[np.ndarray]) -> np.ndarray:
-    """Distance (H, W) of every pixel to the nearest background colour; infinite where there is none.
-
-    A pixel that is a little darker than the background, with its colour dimmed as much, is likely to be
-    the background in shadow: half of that difference counts.
-    """
-    distance = np.full(lab.shape[:2], np.inf, np.float32)
-    for colour in background:
-        darker = lab[..., 0] - colour[0]
-        dimmed = np.clip(lab[..., 0] / max(float(colour[0]), 1.0), 0.4, 1.0)
-        lightness = np.where((darker < 0) & (darker > -25), 0.5 * darker, darker)
-        expected = np.where((darker < 0)[..., None], colour[1:] * dimmed[..., None], colour[1:])
-        distance = np.minimum(distance, np.sqrt(lightness**2 + ((lab[..., 1:] - expected) ** 2).sum(-1)))
-    return distance
 
 
 def name_of(colours: np.ndarray) -> str:

@@ -15,116 +15,47 @@ from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from a4agent.errors import require
-from a4agent.imaging.masks import iou, tight_box
 from a4agent.offline import proposals
 from a4agent.offline.colour import name_of, well_lit
-from a4agent.offline.parts import Anatomy
 from a4agent.offline.saliency import saliency
-from a4agent.offline.silhouette import Silhouette, enlarged, find_object
-from a4agent.offline.vocabulary import KINDS, NOTHING, PARTS
+from a4agent.offline.seen_object import SHOWN, SIDE, SeenObject, main_piece
+from a4agent.offline.vocabulary import IN_HAND, KINDS, NOTHING
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 WEIGHTS = Path(__file__).with_name("eye.onnx")
-SIDE = 160
 COARSE_SIDE = 96
 """Pixels of the crops in which things are looked for, before they are looked at."""
 IMAGE_SIDE = 1280
 """A larger picture is reduced to this first."""
-MAIN = 1.5
-"""The objectness of what stands out most; that of other things is at most 1."""
-AGREED = 0.5
-"""An outline by colour counts if it overlaps what the network sees there by this much."""
+MAIN = 0.5
+"""How much is added to the objectness of what stands out most."""
+CLOSER = 2
+"""How often the network looks at what stands out most, each time around what it saw, before it counts."""
+GOOD_LOOK = 0.4
+"""A look is good if this is exceeded by its score times the share of what stands out that it shows."""
+FARTHER = (2.0, 3.0)
+"""The sides of the windows of farther looks, of the longer side of what was seen."""
+ON_TOP = 0.5
+"""How likely what lies on the main thing must be of its kind to be meant in its place."""
 GROUND = 0.2
 """What the main thing lies on takes at least this share of the picture."""
 MOST_THINGS = 5
 REMEMBERED = 8
 LEAST = 0.0007
 """The least share of a window that a thing takes."""
-SHOWN = 0.5
-"""A pixel belongs to a thing if "nothing" is less likely than this."""
-
-
-@dataclass(frozen=True, eq=False)
-class SeenObject:
-    """One thing: its box, kinds, colour, and part maps (8, SIDE, SIDE) of probabilities in a square `window`.
-
-    `window` is centre x, centre y and side in pixels of the picture of `size_wh`; `objectness` says how sure it
-    is that this is one whole thing, `contrast` how much more it stands out than what is around it. `silhouette` is its
-    outline by colour, which only what stands out most has.
-    """
-
-    box_xyxy: np.ndarray
-    kinds: Mapping[str, float]
-    colour: str
-    maps: np.ndarray
-    window: np.ndarray
-    size_wh: tuple[int, int]
-    objectness: float
-    contrast: float
-    silhouette: Silhouette | None = None
-
-    @cached_property
-    def anatomy(self) -> Anatomy | None:
-        """Its parts by their shape, if its outline is known."""
-        return Anatomy(self.silhouette) if self.silhouette else None
-
-    @cached_property
-    def shown(self) -> np.ndarray:
-        """The thing in its window, (SIDE, SIDE) bool: its largest connected piece and pieces close to it."""
-        return _main_piece(1 - self.maps[NOTHING] > SHOWN)
-
-    @cached_property
-    def mask(self) -> np.ndarray:
-        """The thing in the picture, (H, W) bool."""
-        return self.to_image((1 - self.maps[NOTHING]) * self.shown_softly)
-
-    def part(self, *names: str) -> np.ndarray:
-        """The parts with these names in the window, (SIDE, SIDE) bool: where one of them is the likeliest part."""
-        wanted = [PARTS.index(name) for name in names]
-        likeliest = 1 + self.maps[1:].argmax(0)
-        return np.isin(likeliest, wanted) & self.shown
-
-    @cached_property
-    def shown_softly(self) -> np.ndarray:
-        """`shown` with a margin of two pixels, (SIDE, SIDE) float32."""
-        cv2 = require("cv2", extra="offline")
-        return cv2.dilate(self.shown.astype(np.float32), np.ones((5, 5), np.uint8))
-
-    def region(self, region: np.ndarray) -> np.ndarray:
-        """A region (SIDE, SIDE) bool of the window, in the picture, (H, W) bool."""
-        cv2 = require("cv2", extra="offline")
-        return self.to_image(cv2.GaussianBlur(region.astype(np.float32), (0, 0), 0.7))
-
-    def in_window(self, mask: np.ndarray) -> np.ndarray:
-        """A mask (H, W) bool of the picture as the window shows it, (SIDE, SIDE) bool."""
-        stencil = np.repeat(mask[..., None] * np.uint8(255), 3, 2)
-        return proposals.cut(stencil, self.window[None], SIDE)[0, ..., 0] > 127
-
-    def to_image(self, likely: np.ndarray) -> np.ndarray:
-        """A map (SIDE, SIDE) of probabilities of the window as a mask (H, W) bool of the picture."""
-        cv2 = require("cv2", extra="offline")
-        width, height = self.size_wh
-        x, y, side = (float(value) for value in self.window)
-        scale = SIDE / side
-        matrix = np.array(
-            [[scale, 0, (0.5 - x + side / 2) * scale - 0.5], [0, scale, (0.5 - y + side / 2) * scale - 0.5]]
-        )
-        soft = cv2.warpAffine(
-            likely.astype(np.float32), matrix, (width, height), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        )
-        return soft > SHOWN
+LEAST_SIDE = 2
+"""Pixels of the picture that a thing is wide and high."""
 
 
 def look(image: Image, threads: int = 0) -> tuple[SeenObject, ...]:
@@ -165,15 +96,13 @@ def _look(rgb: np.ndarray, threads: int) -> tuple[SeenObject, ...]:
         return ()
     shrink = min(1.0, IMAGE_SIDE / max(height, width))
     picture = cv2.resize(rgb, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA) if shrink < 1 else rgb
-    stands_out = saliency(well_lit(picture), threads)
-    silhouette = find_object(picture, threads, stands_out)
+    picture = well_lit(picture)
+    stands_out = saliency(picture, threads)
     windows = proposals.windows(picture, stands_out)
     found: list[SeenObject] = []
-    if silhouette is not None:
-        main = _outlined(picture, stands_out, silhouette, threads, (width, height))
-        if main.silhouette:
-            found.append(main)
-        windows = np.concatenate([main.window[None] * picture.shape[1] / width, windows])
+    box = proposals.main_box(picture, stands_out)
+    if box is not None:
+        found.append(_main_object(picture, stands_out, box, threads, (width, height)))
     maps, kinds = _ask(picture, windows, threads, COARSE_SIDE)
     for last in (False, True):
         boxes, scores = _boxes(maps, kinds, windows, picture.shape)
@@ -190,29 +119,84 @@ def _look(rgb: np.ndarray, threads: int) -> tuple[SeenObject, ...]:
         )
         if not _is_ground(thing.box_xyxy, found) and all(_overlap(thing.box_xyxy, t.box_xyxy) < 0.5 for t in found):
             found.append(thing)
-    return tuple(found)
+    return _on_top(found) if box is not None else tuple(found)
 
 
-def _outlined(
-    rgb: np.ndarray, stands_out: np.ndarray, silhouette: Silhouette, threads: int, size_wh: tuple[int, int]
+def _on_top(things: list[SeenObject]) -> tuple[SeenObject, ...]:
+    """The things, and first of all the tool or vessel that lies on the main one, if that is no tool or vessel itself.
+
+    A photograph of a hammer on a sheet of paper shows the hammer.
+    """
+    main, *others = things
+    area = float((main.box_xyxy[2:] - main.box_xyxy[:2]).prod())
+    held_by_main = [
+        thing
+        for thing in others
+        if _likeliest(main)[0] not in IN_HAND
+        and _likeliest(thing)[0] in IN_HAND
+        and _likeliest(thing)[1] > ON_TOP
+        and float((thing.box_xyxy[2:] - thing.box_xyxy[:2]).prod()) < 0.35 * area
+        and bool((thing.box_xyxy[:2] >= main.box_xyxy[:2]).all() and (thing.box_xyxy[2:] <= main.box_xyxy[2:]).all())
+    ]
+    if not held_by_main:
+        return tuple(things)
+    best = max(held_by_main, key=lambda thing: thing.objectness)
+    rest = (thing for thing in others if thing is not best)
+    swapped = replace(best, objectness=best.objectness + MAIN), replace(main, objectness=main.objectness - MAIN)
+    return (*swapped, *rest)
+
+
+def _likeliest(thing: SeenObject) -> tuple[str, float]:
+    return max(thing.kinds.items(), key=lambda item: item[1])
+
+
+def _main_object(
+    rgb: np.ndarray, stands_out: np.ndarray, salient: np.ndarray, threads: int, size_wh: tuple[int, int]
 ) -> SeenObject:
-    """The thing with this silhouette, which it keeps if the network sees a thing of that shape there too."""
-    mask = silhouette.to_image(silhouette.mask, (rgb.shape[1], rgb.shape[0]))
-    box = tight_box(mask)
-    box = np.array(silhouette.box_xyxy, np.float32) if box is None else box
-    windows = proposals.around(box)
-    maps, kinds = _ask(rgb, windows, threads, SIDE, many=True)
-    stencil = np.repeat(mask[..., None] * np.uint8(255), 3, 2)
-    outlined = proposals.cut(stencil, windows, SIDE)[0, ..., 0].astype(np.float32) / 255
-    seen = 1 - maps[0, NOTHING]
-    agreed = iou(seen > SHOWN, outlined > SHOWN) >= AGREED
-    if agreed:
-        shown = (seen + outlined) / 2
-        maps[0, 1:] *= shown / np.maximum(seen, 1e-6)
-        maps[0, NOTHING] = 1 - shown
-    thing = _seen_object(rgb, stands_out, maps[0], kinds[0], windows[0], box, MAIN, size_wh)
-    whole = enlarged(silhouette, size_wh[0] / rgb.shape[1], size_wh)
-    return replace(thing, silhouette=whole) if agreed else thing
+    """What stands out most, of which the box `salient` (4,) may hold only a piece.
+
+    The network looks around it, and again around what it saw.
+    """
+    box = salient
+    for _ in range(CLOSER):
+        box = _look_around(rgb, box, salient, threads, COARSE_SIDE).box_xyxy
+    seen = _look_around(rgb, box, salient, threads, SIDE)
+    return _seen_object(rgb, stands_out, seen.maps, seen.kinds, seen.window, seen.box_xyxy, seen.score + MAIN, size_wh)
+
+
+class Glimpse(NamedTuple):
+    """What a window shows: the thing's box (4,) and score, and maps and kinds of the window.
+
+    `rank` is the score times the share of what stands out that the box holds.
+    """
+
+    box_xyxy: np.ndarray
+    score: float
+    rank: float
+    maps: np.ndarray
+    kinds: np.ndarray
+    window: np.ndarray
+
+
+def _look_around(rgb: np.ndarray, box: np.ndarray, salient: np.ndarray, threads: int, side: int) -> Glimpse:
+    """What is in a box (4,); where that is no thing, or little of what is `salient` (4,), looked at from farther."""
+    near = _best_glimpse(rgb, box, salient, (proposals.LOOSE,), threads, side)
+    if near.rank > GOOD_LOOK:
+        return near
+    return max(near, _best_glimpse(rgb, box, salient, FARTHER, threads, side), key=lambda glimpse: glimpse.rank)
+
+
+def _best_glimpse(
+    rgb: np.ndarray, box: np.ndarray, salient: np.ndarray, distances: tuple[float, ...], threads: int, side: int
+) -> Glimpse:
+    windows = np.concatenate([proposals.around(box, loose) for loose in distances])
+    maps, kinds = _ask(rgb, windows, threads, side, many=side == SIDE)
+    seen, scores = _boxes(maps, kinds, windows, rgb.shape)
+    shared = np.maximum(0, np.minimum(seen[:, 2:], salient[2:]) - np.maximum(seen[:, :2], salient[:2])).prod(1)
+    ranks = scores * shared / max(float((salient[2:] - salient[:2]).prod()), 1.0)
+    best = int(ranks.argmax())
+    found = seen[best] if ranks[best] > 0 else box
+    return Glimpse(found, float(scores[best]), float(ranks[best]), maps[best], kinds[best], windows[best])
 
 
 def _is_ground(box: np.ndarray, found: list[SeenObject]) -> bool:
@@ -274,7 +258,7 @@ def _boxes(
     pixels = maps.shape[-1]
     for index, (x, y, side) in enumerate(windows):
         likely = 1 - maps[index, NOTHING]
-        shown = _main_piece(likely > SHOWN)
+        shown = main_piece(likely > SHOWN)
         if shown.sum() < LEAST * pixels**2:
             continue
         rows, columns = np.flatnonzero(shown.any(1)), np.flatnonzero(shown.any(0))
@@ -282,20 +266,13 @@ def _boxes(
         box = np.array([x, y, x, y]) - side / 2 + tight * side / pixels
         cut_off = [tight[0] <= 0 < box[0], tight[1] <= 0 < box[1]]
         cut_off += [tight[2] >= pixels and box[2] < shape[1], tight[3] >= pixels and box[3] < shape[0]]
-        boxes[index] = np.clip(box, 0, [shape[1], shape[0], shape[1], shape[0]])
+        box = np.clip(box, 0, [shape[1], shape[0], shape[1], shape[0]])
+        if (box[2:] - box[:2]).min() < LEAST_SIDE:
+            continue
+        boxes[index] = box
         sure = float(likely[shown].mean())
         scores[index] = (1 - kinds[index, KINDS.index("none")]) * sure * 0.6 ** sum(cut_off)
     return boxes, scores
-
-
-def _main_piece(mask: np.ndarray) -> np.ndarray:
-    """The largest connected piece of a mask (h, w) bool, with pieces within three pixels of it."""
-    cv2 = require("cv2", extra="offline")
-    near = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8))
-    _, labels = cv2.connectedComponents(near)
-    sizes = np.bincount(labels[mask], minlength=2)
-    sizes[0] = 0
-    return mask & (labels == sizes.argmax()) if sizes.max() else mask
 
 
 def _distinct(boxes: np.ndarray, scores: np.ndarray, most: int) -> np.ndarray:
@@ -328,13 +305,12 @@ def _seen_object(
     size_wh: tuple[int, int],
 ) -> SeenObject:
     scale = np.float32(size_wh[0] / rgb.shape[1])
-    shown = _main_piece(1 - maps[NOTHING] > SHOWN)
-    inside = proposals.cut(np.repeat((stands_out * 255).astype(np.uint8)[..., None], 3, 2), window[None], SIDE)[
-        0, ..., 0
-    ]
-    contrast = (
-        (float(inside[shown].mean()) - float(inside[~shown].mean())) / 255 if shown.any() and not shown.all() else 0.0
-    )
+    shown = main_piece(1 - maps[NOTHING] > SHOWN)
+    contrast = 0.0
+    if shown.any() and not shown.all():
+        grey = np.repeat((stands_out * 255).astype(np.uint8)[..., None], 3, 2)
+        salient = proposals.cut(grey, window[None], SIDE)[0, ..., 0] / 255
+        contrast = float(salient[shown].mean() - salient[~shown].mean())
     colours = proposals.cut(rgb, window[None], SIDE)[0][shown]
     return SeenObject(
         box_xyxy=box * scale,

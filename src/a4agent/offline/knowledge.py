@@ -17,7 +17,6 @@ from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
 from a4agent.files import read_package_toml
-from a4agent.offline.profile import Layout
 
 T = TypeVar("T")
 
@@ -77,7 +76,6 @@ class KnownThing:
 
     name: str
     also: tuple[str, ...]
-    layout: Layout
     parts: tuple[KnownPart, ...]
     uses: Mapping[str, tuple[str, ...]]
     key: str
@@ -240,7 +238,6 @@ def _thing(name: str, row: Mapping[str, Any], table: Mapping[str, Any]) -> Known
     return KnownThing(
         name=name,
         also=tuple(row.get("also", ())),
-        layout=Layout(**table["layouts"][row.get("layout") or family.get("layout", "bottle")]),
         parts=(*own, *shared),
         uses={action: tuple(names) for action, names in row.get("uses", {}).items()},
         key=name,

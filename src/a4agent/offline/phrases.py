@@ -26,9 +26,6 @@ from functools import lru_cache
 
 from a4agent.offline.decisions import decide
 from a4agent.offline.knowledge import QUALIFIERS, KnownThing, knowledge, stem, words
-from a4agent.offline.profile import Layout
-
-DEFAULT = Layout()
 
 PARTS = ("grip", "work", "body", "inside", "control", "lid", "spout", "whole")
 """The part maps of the network, and "whole"."""
@@ -39,11 +36,10 @@ class Wanted:
     """`part` is one of PARTS; `object` a name in knowledge.toml and `kind` what the network calls such a thing.
 
     `colour`, `side` and `size` tell things apart, `part_colour` and `part_side` the parts of one thing. `shape` is one
-    of SHAPES and `layout` counts for those along the object's axis.
+    of SHAPES.
     """
 
     shape: str
-    layout: Layout = DEFAULT
     part: str = "whole"
     object: str | None = None
     kind: str | None = None
@@ -59,8 +55,6 @@ SHAPES = (
     "whole", "grip", "work", "tip", "loop", "arm", "spout", "body", "opening", "rim",
     "top", "middle", "lower", "bottom", "bar", "spot", "handle",
 )  # fmt: skip
-
-_ALONG = ("grip", "work", "tip")
 
 _PLACE = re.compile(
     r" (?:below|under|underneath|beneath|above|over|on|onto|in|inside|at|by|near|next|beside|behind|between|against"
@@ -78,7 +72,7 @@ _PART_MAPS = {
 _THAT_CAN = re.compile(r"^(?:the )?part(?: of (?:the|this|that) (.+?))? (?:that|which) can (?:be )?([a-z-]+)")
 _ACTIONS_OF_MAPS = {
     "inside": ("contain", "store", "fill"), "control": ("press", "activate", "adjust"), "lid": ("open", "close"),
-    "spout": ("pour",), "grip": ("grasp", "pull", "hang", "turn"), "body": ("wrap-grasp", "push", "wrap"),
+    "spout": ("pour",), "grip": ("grasp", "pull", "hang"), "body": ("wrap-grasp", "push", "wrap"),
 }  # fmt: skip
 
 
@@ -107,8 +101,8 @@ def wanted(phrase: str) -> Wanted:
     if shape := know.shapes.get(stem(plain)):
         return Wanted(shape, part=_PART_MAPS[shape])
     decision = decide(phrase)
-    if decision.part_name and decision.object_name:
-        return _part(decision.part_name, know.object_named(decision.object_name))
+    if decision.phrase and decision.phrase != phrase:
+        return wanted(decision.phrase)
     shape = next((know.shapes[stem(word)] for word in reversed(said) if stem(word) in know.shapes), "whole")
     return Wanted(shape, part=_PART_MAPS[shape])
 
@@ -124,7 +118,7 @@ def _qualifiers(said: Sequence[str], thing: KnownThing | None = None) -> dict[st
 
 
 def _whole(thing: KnownThing) -> Wanted:
-    return Wanted("whole", thing.layout, object=thing.key, kind=thing.kind)
+    return Wanted("whole", object=thing.key, kind=thing.kind)
 
 
 def _for_action(verb: str, thing: KnownThing | None) -> Wanted:
@@ -152,11 +146,3 @@ def _part(name: str, thing: KnownThing | None) -> Wanted:
         if shape := knowledge().shapes.get(stems[start:]):
             return replace(whole, shape=shape, part=_PART_MAPS[shape])
     return whole
-
-
-@lru_cache(maxsize=1)
-def everything() -> tuple[Wanted, ...]:
-    """Every Wanted that leads to a region of its own."""
-    layouts = dict.fromkeys([Layout(), *(thing.layout for thing in knowledge().objects.values())])
-    along = [Wanted(shape, layout) for shape in _ALONG for layout in layouts]
-    return (*along, *(Wanted(shape) for shape in SHAPES if shape not in _ALONG))

@@ -1,7 +1,8 @@
 """Where a thing could be: square windows of a picture, from what stands out and from a grid.
 
-    windows(rgb (H, W, 3) uint8, saliency (H, W)) -> (n, 3) float32: centre x, centre y, side, in pixels
-    cut(rgb, windows, 160)                        -> (n, 160, 160, 3) uint8
+    main_box(rgb (H, W, 3) uint8, saliency (H, W)) -> (4,) float32 around what stands out most, or None
+    windows(rgb, saliency)                         -> (n, 3) float32: centre x, centre y, side, in pixels
+    cut(rgb, windows, 160)                         -> (n, 160, 160, 3) uint8
 
 A window may reach beyond the picture; there the border's colours go on.
 """
@@ -11,6 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from a4agent.errors import require
+from a4agent.imaging.masks import tight_box
+from a4agent.offline.colour import to_lab
+from a4agent.offline.surfaces import innermost
 
 LOOSE = 1.4
 """The side of a window, of the longer side of the thing in it."""
@@ -20,8 +24,37 @@ SMALLEST = 0.0004
 """The least share of the picture of such a region."""
 GRID = (0.6, 0.3)
 """Sides of the grid's windows, of the picture's shorter side."""
+SURFACE_SIDE = 640
+"""Pixels of the picture in which things on boards and sheets are looked for."""
 MOST_FINE = 16
 """Windows of the finest grid: those with the most in them."""
+
+
+def main_box(rgb: np.ndarray, saliency: np.ndarray) -> np.ndarray | None:
+    """The box (4,) float32 around what stands out most; if that is a board or a sheet, around what lies on it."""
+    cv2 = require("cv2", extra="offline")
+    blob = _largest(saliency)
+    shrink = min(1.0, SURFACE_SIDE / max(saliency.shape))
+    small = cv2.resize(rgb, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA) if shrink < 1 else rgb
+    size = small.shape[1], small.shape[0]
+    whole = np.ones(saliency.shape, np.uint8) if blob is None else blob.astype(np.uint8)
+    trail = innermost(to_lab(small, blur=0.6), cv2.resize(whole, size, interpolation=cv2.INTER_NEAREST) > 0)
+    if blob is None and len(trail) == 1:
+        return None
+    box = tight_box(trail[-1])
+    return None if box is None else box / shrink
+
+
+def _largest(saliency: np.ndarray) -> np.ndarray | None:
+    """The piece that stands out most, (H, W) bool."""
+    cv2 = require("cv2", extra="offline")
+    for level in (0.5, 0.2):
+        _, labels = cv2.connectedComponents((saliency > level).astype(np.uint8))
+        weights = np.bincount(labels.ravel(), weights=saliency.ravel())
+        weights[0] = 0
+        if weights.max() > 0.0005 * saliency.size:
+            return labels == weights.argmax()
+    return None
 
 
 def windows(rgb: np.ndarray, saliency: np.ndarray) -> np.ndarray:
@@ -29,11 +62,11 @@ def windows(rgb: np.ndarray, saliency: np.ndarray) -> np.ndarray:
     return np.concatenate([_salient(saliency), _grid(rgb, saliency)]).astype(np.float32)
 
 
-def around(box_xyxy: np.ndarray) -> np.ndarray:
-    """The windows (n, 3) around boxes (n, 4)."""
+def around(box_xyxy: np.ndarray, loose: float = LOOSE) -> np.ndarray:
+    """The windows (n, 3) around boxes (n, 4); their sides are `loose` times the boxes' longer sides."""
     boxes = np.asarray(box_xyxy, np.float32).reshape(-1, 4)
     sides = np.maximum(boxes[:, 2:] - boxes[:, :2], 4).max(1)
-    return np.column_stack([(boxes[:, :2] + boxes[:, 2:]) / 2, sides * LOOSE])
+    return np.column_stack([(boxes[:, :2] + boxes[:, 2:]) / 2, sides * loose])
 
 
 def cut(rgb: np.ndarray, windows: np.ndarray, side: int) -> np.ndarray:

@@ -15,12 +15,15 @@ from a4agent.imaging.masks import tight_box
 from a4agent.offline import revision
 from a4agent.offline.choice import regions
 from a4agent.offline.colour import to_lab
-from a4agent.offline.eye import SeenObject, forget, look
-from a4agent.offline.silhouette import cut_out
+from a4agent.offline.eye import forget, look
+from a4agent.offline.seen_object import SeenObject
 from a4agent.protocols import ExpertBase, Prompt, Segmentation, SegmentRequest
 
 FITS = 0.7
 """A region whose box overlaps the prompt's by this much is what the prompt means."""
+
+CUT_OUT_SIDE = 320
+"""Pixels of the window in which a box that fits no region is looked at."""
 
 
 class OfflineSegmenter(ExpertBase):
@@ -49,24 +52,7 @@ class OfflineSegmenter(ExpertBase):
             return mask, fit
         if prompt.box_xyxy is None:
             return _patch(np.asarray(request.image.convert("RGB")), prompt.points_xy), 0.3
-        return self._inside(request, things, prompt.box_xyxy), 0.5
-
-    def _inside(self, request: SegmentRequest, things: Sequence[SeenObject], box_xyxy: np.ndarray) -> np.ndarray:
-        """What stands out inside a box: of what stands out most, else by looking at the box alone."""
-        width, height = request.image.size
-        x0, y0 = np.clip(np.floor(box_xyxy[:2]), 0, [width - 1, height - 1]).astype(int)
-        x1, y1 = np.clip(np.ceil(box_xyxy[2:]), [x0 + 1, y0 + 1], [width, height]).astype(int)
-        box = np.zeros((height, width), bool)
-        box[y0:y1, x0:x1] = True
-        if things and (main := things[0].silhouette):
-            part = main.to_image(main.mask, (width, height)) & box
-            if part.sum() > 0.2 * box.sum():
-                return part
-        if min(x1 - x0, y1 - y0) < 8:
-            return box
-        found = cut_out(np.asarray(request.image.convert("RGB")), box, self.threads)
-        part = found.to_image(found.mask, (width, height)) & box
-        return part if part.any() else box
+        return _cut_out(np.asarray(request.image.convert("RGB")), prompt.box_xyxy), 0.5
 
     def close(self) -> None:
         forget()
@@ -108,6 +94,30 @@ def _overlap(a: np.ndarray, b: np.ndarray) -> float:
     shared = float(sides.prod())
     union = float((a[2:] - a[:2]).prod() + (b[2:] - b[:2]).prod()) - shared
     return shared / union if union > 0 else 0.0
+
+
+def _cut_out(rgb: np.ndarray, box_xyxy: np.ndarray) -> np.ndarray:
+    """What differs from the surroundings of a box, (H, W) bool, by GrabCut; the box where all or nothing does."""
+    cv2 = require("cv2", extra="offline")
+    height, width = rgb.shape[:2]
+    x0, y0 = np.clip(np.floor(box_xyxy[:2]), 0, [width - 1, height - 1]).astype(int)
+    x1, y1 = np.clip(np.ceil(box_xyxy[2:]), [x0 + 1, y0 + 1], [width, height]).astype(int)
+    box = np.zeros((height, width), bool)
+    box[y0:y1, x0:x1] = True
+    around = max(8, (x1 - x0) // 2, (y1 - y0) // 2)
+    window = slice(max(0, y0 - around), y1 + around), slice(max(0, x0 - around), x1 + around)
+    shrink = min(1.0, CUT_OUT_SIDE / max(rgb[window].shape))
+    small = cv2.resize(rgb[window], None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
+    inside = cv2.resize(box[window].astype(np.uint8), small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+    labels = np.where(inside > 0, cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
+    if min(x1 - x0, y1 - y0) < 8 or inside.all():
+        return box
+    cv2.setRNGSeed(0)
+    cv2.grabCut(small, labels, None, np.zeros((1, 65)), np.zeros((1, 65)), 3, cv2.GC_INIT_WITH_MASK)
+    found = (labels == cv2.GC_PR_FGD).astype(np.uint8)
+    full = np.zeros((height, width), bool)
+    full[window] = cv2.resize(found, rgb[window].shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
+    return full & box if (full & box).any() else box
 
 
 def _patch(rgb: np.ndarray, points_xy: np.ndarray) -> np.ndarray:

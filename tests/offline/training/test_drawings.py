@@ -10,8 +10,7 @@ import pytest
 from a4agent.offline.training.canvas import SIDE
 from a4agent.offline.training.drawings import draw
 from a4agent.offline.training.fixtures import FIXTURES
-from a4agent.offline.training.outlines import Rng
-from a4agent.offline.training.things import DrawnThing
+from a4agent.offline.training.pieces import DrawnThing, Rng
 from a4agent.offline.training.tools import TOOLS
 from a4agent.offline.training.vessels import VESSELS
 from a4agent.offline.vocabulary import GRIP, INSIDE, KINDS, WORK

@@ -37,7 +37,7 @@ class TrainSettings:
     are plainer than the wildest drawings.
     """
 
-    minutes: float = 75.0
+    minutes: float = 160.0
     batch: int = 32
     rate: float = 2e-3
     encoder_rate: float = 4e-4
