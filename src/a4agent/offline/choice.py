@@ -78,9 +78,8 @@ def match(wanted: Wanted, thing: SeenObject) -> float | None:
 
 
 def regions(thing: SeenObject) -> Iterator[np.ndarray]:
-    """Every region of a thing that some phrase could mean, each (H, W) bool."""
-    yield thing.mask
-    found: dict[bytes, np.ndarray] = {}
+    """Every region (SIDE, SIDE) bool of a thing's window that some phrase could mean; `thing.region` places it."""
+    found = {thing.shown.tobytes(): thing.shown}
     for kind in (None, *{PARTS_OF[kind]: kind for kind in KINDS}.values()):
         for names in (*((name,) for name in PARTS[1:]), ("body", "inside"), ("inside", "work")):
             region = thing.part(*names, kind=kind)
@@ -92,7 +91,7 @@ def regions(thing: SeenObject) -> Iterator[np.ndarray]:
         ):
             region = _region(asked, thing)
             found[region.tobytes()] = region
-    yield from map(thing.region, found.values())
+    yield from found.values()
 
 
 def _fit(wanted: Wanted, thing: SeenObject) -> float:

@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 
 from a4agent.errors import require
-from a4agent.offline import proposals
 from a4agent.offline.vocabulary import GRIP, NOTHING, PARTS, PARTS_OF, WORK
 
 SIDE = 160
@@ -92,10 +91,11 @@ class SeenObject:
         cv2 = require("cv2", extra="offline")
         return self.to_image(cv2.GaussianBlur(region.astype(np.float32), (0, 0), 1.1))
 
-    def in_window(self, mask: np.ndarray) -> np.ndarray:
-        """A mask (H, W) bool of the picture as the window shows it, (SIDE, SIDE) bool."""
-        stencil = np.repeat(mask[..., None] * np.uint8(255), 3, 2)
-        return proposals.cut(stencil, self.window[None], SIDE)[0, ..., 0] > 127
+    def box_of(self, region: np.ndarray) -> np.ndarray:
+        """The box (4,) in the picture around a region (SIDE, SIDE) bool, not blank, of the window."""
+        rows, columns = np.flatnonzero(region.any(1)), np.flatnonzero(region.any(0))
+        tight = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1])
+        return np.tile(self.window[:2] - self.window[2] / 2, 2) + tight * self.window[2] / SIDE
 
     def to_image(self, likely: np.ndarray) -> np.ndarray:
         """A map (SIDE, SIDE) of probabilities of the window as a mask (H, W) bool of the picture."""

@@ -22,6 +22,8 @@ from a4agent.protocols import ExpertBase, Prompt, Segmentation, SegmentRequest
 FITS = 0.7
 """A region whose box overlaps the prompt's by this much is what the prompt means."""
 
+NEAR = 0.5
+"""A region whose box in its window overlaps the prompt's by less is not looked at in the picture's own pixels."""
 CUT_OUT_SIDE = 320
 """Pixels of the window in which a box that fits no region is looked at."""
 
@@ -64,7 +66,12 @@ def _best_region(things: Sequence[SeenObject], prompt: Prompt) -> tuple[np.ndarr
     for thing in things:
         if prompt.box_xyxy is not None and _overlap(thing.box_xyxy, prompt.box_xyxy) == 0:
             continue
-        for mask in regions(thing):
+        for region in regions(thing):
+            if prompt.box_xyxy is not None and (
+                not region.any() or _overlap(thing.box_of(region), prompt.box_xyxy) < NEAR
+            ):
+                continue
+            mask = thing.region(region)
             box = tight_box(mask)
             if box is None:
                 continue
