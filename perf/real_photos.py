@@ -1,6 +1,7 @@
 """How well a profile finds the part to act on in a folder of real photographs with part masks.
 
     python perf/real_photos.py --data FOLDER [--profile offline] [--set NAME=VALUE] [--sheet out.png] [--variants]
+                               [--pairs]
 
 FOLDER holds `samples.jsonl`; each line names an image, a mask (both relative to the folder) and what was
 asked, and may name the object, the part and the affordance to print scores by:
@@ -12,13 +13,14 @@ asked, and may name the object, the part and the affordance to print scores by:
 Printed: the scores of the agent, of the Spotter alone when it is told the right part, of a baseline that
 answers with the whole object, and of the agent when it is asked as UMD's published runs ask. `--sheet` draws the truth
 in red and the answer in green. `--variants` asks again with each picture mirrored, turned, resized, darker, brighter
-and compressed, to see what holds.
+and compressed, to see what holds. `--pairs` lays two things of a kind side by side and asks for the left and the right.
 """
 
 from __future__ import annotations
 
 import argparse
 import io
+import itertools
 import json
 import time
 from collections.abc import Callable, Iterator
@@ -146,6 +148,32 @@ def in_umd_wording(sample: Sample) -> Sample:
     return replace(sample, instruction=umd.RULES["a4"].format(affordance=sample.affordance))
 
 
+def pairs(samples: list[Sample], most: int = 8) -> Iterator[Sample]:
+    """The surroundings of two things of a name side by side, the grip of the left or the right one asked for."""
+    rng = np.random.default_rng(3)
+    by_name: dict[str, list[Sample]] = {}
+    for sample in samples:
+        if sample.affordance == "grasp":
+            by_name.setdefault(sample.object_name, []).append(_surroundings(sample))
+    for name, found in by_name.items():
+        both = list(itertools.permutations(found, 2))
+        for index in rng.permutation(len(both))[:most]:
+            image = Image.fromarray(np.hstack([np.asarray(sample.image) for sample in both[index]]))
+            for k, side in enumerate(("left", "right")):
+                blank = np.zeros_like(both[index][k].truth)
+                truth = np.hstack([both[index][0].truth, blank] if k == 0 else [blank, both[index][1].truth])
+                instruction = f"pick up the {side} {name} by its handle"
+                yield Sample(f"{name} {side}", image, truth, instruction, name, "", "grasp")
+
+
+def _surroundings(sample: Sample, side: int = 320) -> Sample:
+    """A square of `side` pixels with the truth in its middle, as far as the picture allows."""
+    middle = np.argwhere(sample.truth).mean(0).astype(int)[::-1]
+    x, y = (int(v) for v in np.clip(middle - side // 2, 0, np.maximum(np.array(sample.image.size) - side, 0)))
+    box = (x, y, x + side, y + side)
+    return replace(sample, image=sample.image.crop(box), truth=np.array(Image.fromarray(sample.truth).crop(box)))
+
+
 def told(sample: Sample) -> Given:
     return Given(target=Target(sample.instruction, sample.object_name, sample.object_part))
 
@@ -205,6 +233,7 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the profile")
     parser.add_argument("--sheet", type=Path, help="write a contact sheet here")
     parser.add_argument("--variants", action="store_true", help="ask again with changed pictures")
+    parser.add_argument("--pairs", action="store_true", help="two things side by side, told apart by their side")
     options = parser.parse_args()
     agent = A4Agent.from_profile(options.profile, dict(pair.partition("=")[::2] for pair in options.set))
     samples = list(read(options.data))
@@ -223,6 +252,8 @@ def main() -> None:
     if options.sheet:
         sheet(results).save(options.sheet)
         print(f"wrote {options.sheet}")
+    if options.pairs:
+        print(line("two side by side", ask(agent, list(pairs(samples)))))
     if options.variants:
         print("the same pictures, changed")
         for name, change in VARIANTS.items():
