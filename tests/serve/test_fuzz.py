@@ -18,26 +18,14 @@ TOKEN = "a-token-of-some-length"
 UNFIT = "positive_data_acceptance"
 
 
-def _only_numbers_in_forms(report: str) -> bool:
-    """Whether all that was found are numbers in place of texts in a form, where everything is text."""
-    codes = set(re.findall(r"^ *- (ST\d+)", report, re.MULTILINE))
-    components = re.findall(r"Invalid component: (.*)", report)
-    numbers = all("was string, became" in component for component in components)
-    return (
-        codes == {"ST201"} and bool(components) and numbers and report.count("multipart/form-data") >= len(components)
-    )
-
-
 def test_every_generated_request_is_answered_as_the_schema_says(serve: Callable[..., Any], tmp_path: Path) -> None:
     pytest.importorskip("schemathesis", reason="generates the requests")
     call = serve(token=TOKEN, limits=Limits(body_bytes=2**20, queue=32, batch=4))
     command = [sys.executable, "-m", "schemathesis.cli", "run", f"{call.url}/openapi.json", "--no-color"]
     command += ["--checks", "all", "--exclude-checks", UNFIT, "--phases", "examples,coverage,fuzzing"]
-    command += ["--max-examples", "8", "--generation-deterministic", "--workers", "2"]
+    command += ["--max-examples", "8", "--generation-deterministic", "--workers", "1"]
     command += ["--header", f"Authorization: Bearer {TOKEN}"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=200)
-    if done.returncode and _only_numbers_in_forms(done.stdout):
-        return
     assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-2000:]
     generated = re.search(r"(\d+) generated, (\d+) passed", done.stdout)
     assert generated
