@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from a4agent.errors import DataError
-from a4agent.imaging.masks import decode_rle, deepest_point, encode_rle, iou, tight_box
+from a4agent.imaging.masks import box_area, box_iou, box_overlap, decode_rle, deepest_point, encode_rle, iou, tight_box
 
 
 @given(arrays(bool, array_shapes(min_dims=2, max_dims=2, max_side=20)))
@@ -97,6 +97,15 @@ def test_a_blank_mask_has_neither_box_nor_point() -> None:
     blank = np.zeros((4, 4), bool)
     assert tight_box(blank) is None
     assert deepest_point(blank) is None
+
+
+def test_iou_of_boxes() -> None:
+    box = np.array([0, 0, 4, 2], np.float32)
+    others = np.array([[0, 0, 4, 2], [2, 0, 6, 2], [4, 0, 8, 2], [9, 9, 9, 9]], np.float32)
+    assert box_area(others).tolist() == [8, 8, 8, 0]
+    assert box_overlap(box, others).tolist() == [8, 4, 0, 0]
+    assert box_iou(box, others) == pytest.approx([1, 1 / 3, 0, 0])
+    assert box_iou(others[3], others[3]) == 0
 
 
 def test_iou_of_masks() -> None:

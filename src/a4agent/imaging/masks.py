@@ -1,4 +1,4 @@
-"""Masks (H, W) of bool: their box, their deepest point, their overlap, and COCO run-length encoding.
+"""Masks (H, W) of bool and boxes xyxy: a mask's box and deepest point, overlaps, and COCO run-length encoding.
 
 encode_rle(mask) -> {"size": [height, width], "counts": "..."}        JSON-safe
 """
@@ -44,6 +44,23 @@ def iou(a: np.ndarray, b: np.ndarray) -> float:
     """Intersection over union of two masks; 1 if both are blank."""
     union = int((a | b).sum())
     return int((a & b).sum()) / union if union else 1.0
+
+
+def box_area(boxes_xyxy: np.ndarray) -> Any:
+    """The areas (...) of boxes (..., 4)."""
+    return (boxes_xyxy[..., 2:] - boxes_xyxy[..., :2]).prod(-1)
+
+
+def box_overlap(a: np.ndarray, b: np.ndarray) -> Any:
+    """The areas (...) that boxes (..., 4) share."""
+    low, high = np.maximum(a[..., :2], b[..., :2]), np.minimum(a[..., 2:], b[..., 2:])
+    return np.maximum(high - low, 0).prod(-1)
+
+
+def box_iou(a: np.ndarray, b: np.ndarray) -> Any:
+    """Intersection over union (...) of boxes (..., 4); 0 if both are empty."""
+    shared = box_overlap(a, b)
+    return shared / np.maximum(box_area(a) + box_area(b) - shared, 1e-9)
 
 
 def encode_rle(mask: np.ndarray) -> Rle:

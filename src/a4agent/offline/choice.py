@@ -5,7 +5,7 @@ choose(wanted("the handle of the black mug"), look(image)) -> Choice(thing=<the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,7 +77,7 @@ def match(wanted: Wanted, thing: SeenObject) -> float | None:
     return thing.kinds[wanted.kind] if wanted.kind in KINDS and wanted.kind not in UNNAMED else None
 
 
-def regions(thing: SeenObject) -> Iterator[np.ndarray]:
+def regions(thing: SeenObject) -> Collection[np.ndarray]:
     """Every region (SIDE, SIDE) bool of a thing's window that some phrase could mean; `thing.region` places it."""
     found = {thing.shown.tobytes(): thing.shown}
     for kind in (None, *{PARTS_OF[kind]: kind for kind in KINDS}.values()):
@@ -85,13 +85,10 @@ def regions(thing: SeenObject) -> Iterator[np.ndarray]:
             region = thing.part(*names, kind=kind)
             if region.sum() >= LEAST_PART:
                 found |= {piece.tobytes(): piece for piece in (region, *_pieces(region))}
-        for asked in (
-            Wanted("tip", part="work", kind=kind),
-            *(Wanted(shape, part="body", kind=kind) for shape in PLACES),
-        ):
-            region = _region(asked, thing)
+        for part, shape in (("work", "tip"), *(("body", place) for place in PLACES)):
+            region = _region(Wanted(shape, part=part, kind=kind), thing)
             found[region.tobytes()] = region
-    yield from found.values()
+    return found.values()
 
 
 def _fit(wanted: Wanted, thing: SeenObject) -> float:

@@ -35,12 +35,11 @@ class OfflineDetector(ExpertBase):
         box, point = tight_box(mask), deepest_point(mask)
         if choice is None or box is None or point is None:
             return Detection(text="no thing stands out from the background")
-        kind = max(choice.thing.kinds, key=choice.thing.kinds.__getitem__)
         return Detection(
             boxes_xyxy=box[None],
             points_xy=point[None],
             scores=None if choice.match is None else np.array([choice.match], np.float32),
-            text=f"{request.phrase!r} in a thing that looks like: {kind}",
+            text=f"{request.phrase!r} in a thing that looks like: {choice.thing.likeliest[0]}",
         )
 
     def close(self) -> None:

@@ -24,10 +24,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from a4agent.errors import require
+from a4agent.imaging.masks import box_area, box_iou, box_overlap, tight_box
 from a4agent.offline import proposals
 from a4agent.offline.colour import name_of, well_lit
 from a4agent.offline.saliency import saliency
-from a4agent.offline.seen_object import SHOWN, SIDE, SeenObject, main_piece
+from a4agent.offline.seen_object import SHOWN, SIDE, SeenObject, box_in_picture, main_piece
 from a4agent.offline.vocabulary import IN_HAND, KINDS, NOTHING
 
 if TYPE_CHECKING:
@@ -117,7 +118,7 @@ def _look(rgb: np.ndarray, threads: int) -> tuple[SeenObject, ...]:
         thing = _seen_object(
             picture, stands_out, maps[k], kinds[k], windows[k], boxes[k], float(scores[k]), (width, height)
         )
-        if not _is_ground(thing.box_xyxy, found) and all(_overlap(thing.box_xyxy, t.box_xyxy) < 0.5 for t in found):
+        if not _is_ground(thing.box_xyxy, found) and all(box_iou(thing.box_xyxy, t.box_xyxy) < 0.5 for t in found):
             found.append(thing)
     return _on_top(found) if box is not None else tuple(found)
 
@@ -128,15 +129,15 @@ def _on_top(things: list[SeenObject]) -> tuple[SeenObject, ...]:
     A photograph of a hammer on a sheet of paper shows the hammer.
     """
     main, *others = things
-    area = float((main.box_xyxy[2:] - main.box_xyxy[:2]).prod())
+    if main.likeliest[0] in IN_HAND:
+        return tuple(things)
     held_by_main = [
         thing
         for thing in others
-        if _likeliest(main)[0] not in IN_HAND
-        and _likeliest(thing)[0] in IN_HAND
-        and _likeliest(thing)[1] > ON_TOP
-        and float((thing.box_xyxy[2:] - thing.box_xyxy[:2]).prod()) < 0.35 * area
-        and bool((thing.box_xyxy[:2] >= main.box_xyxy[:2]).all() and (thing.box_xyxy[2:] <= main.box_xyxy[2:]).all())
+        if thing.likeliest[0] in IN_HAND
+        and thing.likeliest[1] > ON_TOP
+        and box_area(thing.box_xyxy) < 0.35 * box_area(main.box_xyxy)
+        and box_overlap(thing.box_xyxy, main.box_xyxy) == box_area(thing.box_xyxy)
     ]
     if not held_by_main:
         return tuple(things)
@@ -144,10 +145,6 @@ def _on_top(things: list[SeenObject]) -> tuple[SeenObject, ...]:
     rest = (thing for thing in others if thing is not best)
     swapped = replace(best, objectness=best.objectness + MAIN), replace(main, objectness=main.objectness - MAIN)
     return (*swapped, *rest)
-
-
-def _likeliest(thing: SeenObject) -> tuple[str, float]:
-    return max(thing.kinds.items(), key=lambda item: item[1])
 
 
 def _main_object(
@@ -192,8 +189,7 @@ def _best_glimpse(
     windows = np.concatenate([proposals.around(box, loose) for loose in distances])
     maps, kinds = _ask(rgb, windows, threads, side, many=side == SIDE)
     seen, scores = _boxes(maps, kinds, windows, rgb.shape)
-    shared = np.maximum(0, np.minimum(seen[:, 2:], salient[2:]) - np.maximum(seen[:, :2], salient[:2])).prod(1)
-    ranks = scores * shared / max(float((salient[2:] - salient[:2]).prod()), 1.0)
+    ranks = scores * box_overlap(seen, salient) / max(float(box_area(salient)), 1.0)
     best = int(ranks.argmax())
     found = seen[best] if ranks[best] > 0 else box
     return Glimpse(found, float(scores[best]), float(ranks[best]), maps[best], kinds[best], windows[best])
@@ -204,9 +200,8 @@ def _is_ground(box: np.ndarray, found: list[SeenObject]) -> bool:
     if not found or not box.any():
         return False
     main, picture = found[0].box_xyxy, float(np.prod(found[0].size_wh))
-    shared = float(np.maximum(0.0, np.minimum(box[2:], main[2:]) - np.maximum(box[:2], main[:2])).prod())
-    area, own = float((box[2:] - box[:2]).prod()), float((main[2:] - main[:2]).prod())
-    return shared > 0.7 * own and area > max(2 * own, GROUND * picture)
+    own = float(box_area(main))
+    return bool(box_overlap(box, main) > 0.7 * own and box_area(box) > max(2 * own, GROUND * picture))
 
 
 def _ask(
@@ -256,14 +251,13 @@ def _boxes(
     """The box (n, 4) of the main thing in each window, in pixels, and how likely it is one whole thing (n,)."""
     boxes, scores = np.zeros((len(maps), 4), np.float32), np.zeros(len(maps), np.float32)
     pixels = maps.shape[-1]
-    for index, (x, y, side) in enumerate(windows):
+    for index, window in enumerate(windows):
         likely = 1 - maps[index, NOTHING]
         shown = main_piece(likely > SHOWN)
-        if shown.sum() < LEAST * pixels**2:
+        tight = tight_box(shown)
+        if tight is None or shown.sum() < LEAST * pixels**2:
             continue
-        rows, columns = np.flatnonzero(shown.any(1)), np.flatnonzero(shown.any(0))
-        tight = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1])
-        box = np.array([x, y, x, y]) - side / 2 + tight * side / pixels
+        box = box_in_picture(tight, window, pixels)
         cut_off = [tight[0] <= 0 < box[0], tight[1] <= 0 < box[1]]
         cut_off += [tight[2] >= pixels and box[2] < shape[1], tight[3] >= pixels and box[3] < shape[0]]
         box = np.clip(box, 0, [shape[1], shape[0], shape[1], shape[0]])
@@ -281,17 +275,9 @@ def _distinct(boxes: np.ndarray, scores: np.ndarray, most: int) -> np.ndarray:
     for index in np.argsort(-scores):
         if scores[index] < 0.05 or len(kept) == most:
             break
-        if all(_overlap(boxes[index], boxes[other]) < 0.5 for other in kept):
+        if all(box_iou(boxes[index], boxes[other]) < 0.5 for other in kept):
             kept.append(int(index))
     return np.array(kept, int)
-
-
-def _overlap(a: np.ndarray, b: np.ndarray) -> float:
-    """Intersection over union of two boxes (4,)."""
-    sides = np.maximum(0.0, np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]))
-    shared = float(sides.prod())
-    union = float((a[2:] - a[:2]).prod() + (b[2:] - b[:2]).prod()) - shared
-    return shared / union if union > 0 else 0.0
 
 
 def _seen_object(

@@ -60,11 +60,11 @@ class OfflineReasoner(ExpertBase):
 
 def things_in(image: Image, threads: int = 0) -> tuple[tuple[str, ...], frozenset[str]]:
     """The kinds of thing recognised in a picture, the likeliest first, and the kinds that it does not show."""
-    things = [thing.kinds for thing in eye.look(image, threads)]
-    likeliest = [max(kinds.items(), key=lambda item: item[1]) for kinds in things]
+    things = eye.look(image, threads)
+    likeliest = [thing.likeliest for thing in things]
     seen = tuple(dict.fromkeys(kind for kind, p in likeliest if p >= RECOGNISED and kind not in _NO_KINDS))
-    known = {kind for kinds in things for kind in kinds} - _NO_KINDS
-    return seen, frozenset(kind for kind in known if all(kinds.get(kind, 0.0) < RULED_OUT for kinds in things))
+    known = {kind for thing in things for kind in thing.kinds} - _NO_KINDS
+    return seen, frozenset(kind for kind in known if all(thing.kinds.get(kind, 0.0) < RULED_OUT for thing in things))
 
 
 def thinker_task(text: str) -> str | None:

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from a4agent.errors import require
+from a4agent.imaging.masks import tight_box
 from a4agent.offline.vocabulary import GRIP, NOTHING, PARTS, PARTS_OF, WORK
 
 SIDE = 160
@@ -46,6 +47,11 @@ class SeenObject:
     objectness: float
     contrast: float
 
+    @property
+    def likeliest(self) -> tuple[str, float]:
+        """The kind that the network takes it for, and how likely it is."""
+        return max(self.kinds.items(), key=lambda item: item[1])
+
     @cached_property
     def shown(self) -> np.ndarray:
         """The thing in its window, (SIDE, SIDE) bool: its largest connected piece and pieces close to it."""
@@ -68,11 +74,10 @@ class SeenObject:
     def labels(self, possible: tuple[str, ...] | None = None) -> np.ndarray:
         """The likeliest part of each pixel of the window, (SIDE, SIDE) indices of PARTS."""
         if possible not in self._labels:
-            kinds = self.kinds if possible is None else {}
-            weights = [sum(p for kind, p in kinds.items() if name in PARTS_OF[kind]) for name in PARTS[1:]]
-            allowed = np.array(weights if possible is None else [name in possible for name in PARTS[1:]], np.float32)
-            maps = self.maps[1:] * allowed[:, None, None]
-            ends = _cut_across(maps[GRIP - 1], maps[WORK - 1], self.shown, maps)
+            likely = [(PARTS_OF[kind], p) for kind, p in self.kinds.items()] if possible is None else [(possible, 1.0)]
+            weights = [sum(p for parts, p in likely if name in parts) for name in PARTS[1:]]
+            maps = self.maps[1:] * np.array(weights, np.float32)[:, None, None]
+            ends = _cut_across(maps, self.shown)
             self._labels[possible] = (1 + maps.argmax(0)) * self.shown if ends is None else ends
         return self._labels[possible]
 
@@ -93,9 +98,9 @@ class SeenObject:
 
     def box_of(self, region: np.ndarray) -> np.ndarray:
         """The box (4,) in the picture around a region (SIDE, SIDE) bool, not blank, of the window."""
-        rows, columns = np.flatnonzero(region.any(1)), np.flatnonzero(region.any(0))
-        tight = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1])
-        return np.tile(self.window[:2] - self.window[2] / 2, 2) + tight * self.window[2] / SIDE
+        tight = tight_box(region)
+        assert tight is not None
+        return box_in_picture(tight, self.window, SIDE)
 
     def to_image(self, likely: np.ndarray) -> np.ndarray:
         """A map (SIDE, SIDE) of probabilities of the window as a mask (H, W) bool of the picture."""
@@ -112,11 +117,17 @@ class SeenObject:
         return soft > SHOWN
 
 
-def _cut_across(grip: np.ndarray, work: np.ndarray, shown: np.ndarray, maps: np.ndarray) -> np.ndarray | None:
+def box_in_picture(box_xyxy: np.ndarray, window: np.ndarray, side: int) -> np.ndarray:
+    """A box (4,) of a window's crop of `side` pixels in pixels of the picture."""
+    return np.tile(window[:2] - window[2] / 2, 2) + box_xyxy.astype(np.float64) * window[2] / side
+
+
+def _cut_across(maps: np.ndarray, shown: np.ndarray) -> np.ndarray | None:
     """Labels (h, w) of a long thing's two ends, GRIP and WORK, with a straight cut between them; None of other things.
 
-    `grip` and `work` are the probabilities (h, w) of both, `maps` (n, h, w) those of all parts, `shown` the thing.
+    `maps` (7, h, w) are the probabilities of the parts, `shown` (h, w) is the thing.
     """
+    grip, work = maps[GRIP - 1], maps[WORK - 1]
     points = np.argwhere(shown).astype(np.float64)
     if len(points) < LEAST_PART or (grip + work)[shown].sum() < ENDS_ONLY * maps[:, shown].sum():
         return None

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from a4agent.errors import A4Error, require
-from a4agent.imaging.masks import tight_box
+from a4agent.imaging.masks import box_area, box_iou, box_overlap, tight_box
 from a4agent.offline import revision
 from a4agent.offline.choice import regions
 from a4agent.offline.colour import to_lab
@@ -21,7 +21,6 @@ from a4agent.protocols import ExpertBase, Prompt, Segmentation, SegmentRequest
 
 FITS = 0.7
 """A region whose box overlaps the prompt's by this much is what the prompt means."""
-
 NEAR = 0.5
 """A region whose box in its window overlaps the prompt's by less is not looked at in the picture's own pixels."""
 CUT_OUT_SIDE = 320
@@ -64,11 +63,11 @@ def _best_region(things: Sequence[SeenObject], prompt: Prompt) -> tuple[np.ndarr
     """The region that fits a prompt best: by its box, or the smallest around its points; all points inside it."""
     best, best_fit = None, 0.0
     for thing in things:
-        if prompt.box_xyxy is not None and _overlap(thing.box_xyxy, prompt.box_xyxy) == 0:
+        if prompt.box_xyxy is not None and not box_overlap(thing.box_xyxy, prompt.box_xyxy):
             continue
         for region in regions(thing):
             if prompt.box_xyxy is not None and (
-                not region.any() or _overlap(thing.box_of(region), prompt.box_xyxy) < NEAR
+                not region.any() or box_iou(thing.box_of(region), prompt.box_xyxy) < NEAR
             ):
                 continue
             mask = thing.region(region)
@@ -77,8 +76,8 @@ def _best_region(things: Sequence[SeenObject], prompt: Prompt) -> tuple[np.ndarr
                 continue
             inside = _share_inside(mask, prompt.points_xy)
             if prompt.box_xyxy is not None:
-                fit = _overlap(box, prompt.box_xyxy) * (0.5 + 0.5 * inside)
-                fit /= 1 + 0.1 * float(mask.sum() / np.prod(box[2:] - box[:2]))  # a rim, rather than what it surrounds
+                fit = float(box_iou(box, prompt.box_xyxy)) * (0.5 + 0.5 * inside)
+                fit /= 1 + 0.1 * float(mask.sum() / box_area(box))  # a rim, rather than what it surrounds
             else:
                 fit = float(inside == 1.0) / (1.0 + float(mask.mean()))
             if fit > best_fit:
@@ -93,14 +92,6 @@ def _share_inside(mask: np.ndarray, points_xy: np.ndarray) -> float:
     columns, rows = np.floor(points_xy).astype(int).T
     within = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
     return float((mask[rows.clip(0, height - 1), columns.clip(0, width - 1)] & within).mean())
-
-
-def _overlap(a: np.ndarray, b: np.ndarray) -> float:
-    """Intersection over union of two boxes (4,)."""
-    sides = np.maximum(0.0, np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]))
-    shared = float(sides.prod())
-    union = float((a[2:] - a[:2]).prod() + (b[2:] - b[:2]).prod()) - shared
-    return shared / union if union > 0 else 0.0
 
 
 def _cut_out(rgb: np.ndarray, box_xyxy: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
-from a4agent.imaging.masks import iou, tight_box
+from a4agent.imaging.masks import box_iou, iou, tight_box
 from a4agent.plugins import Plugins
 from a4agent.protocols import Detector, Segmenter, VisionLanguageModel
 from a4agent.stages.recorder import Recorder
@@ -89,7 +89,7 @@ class MaskGeometry:
         regions = evidence.affordance.regions
         points = [_held(region.mask, region.points_xy) for region in regions if len(region.points_xy)]
         boxes = [(r.box_xyxy, r.tight_box_xyxy) for r in regions if r.box_xyxy is not None]
-        fits = [0.0 if tight is None else _box_iou(box, tight) for box, tight in boxes]
+        fits = [0.0 if tight is None else float(box_iou(box, tight)) for box, tight in boxes]
         share = float(evidence.affordance.mask.mean())
         plausible = min(1.0, share / self.LEAST, (1 - share) / (1 - self.MOST))
         return [
@@ -293,11 +293,6 @@ def _held(mask: np.ndarray, points_xy: np.ndarray) -> float:
     height, width = mask.shape
     columns, rows = np.clip(np.floor(points_xy), 0, [width - 1, height - 1]).astype(int).T
     return float(mask[rows, columns].mean())
-
-
-def _box_iou(a: np.ndarray, b: np.ndarray) -> float:
-    shared = np.clip(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0, None).prod()
-    return float(shared / ((a[2:] - a[:2]).prod() + (b[2:] - b[:2]).prod() - shared))
 
 
 def _mean(values: Sequence[float]) -> float | None:

@@ -20,6 +20,7 @@ from a4agent.experts.coordinates import UNIT, to_pixels
 from a4agent.experts.local.base import LocalExpert, Stopwatch, load_pretrained, place
 from a4agent.experts.local.checkpoints import find_checkpoint
 from a4agent.experts.local.generation import load_processor
+from a4agent.imaging.masks import box_iou
 from a4agent.protocols import DetectRequest, Role
 from a4agent.types import Detection
 
@@ -224,13 +225,6 @@ def best_boxes(
     for k in np.argsort(-scores, kind="stable"):
         if len(kept) == max_boxes or not scores[k] > threshold:
             break
-        if nms_iou >= 1 or not kept or _iou(boxes_xyxy[k], boxes_xyxy[kept]).max() <= nms_iou:
+        if nms_iou >= 1 or not kept or box_iou(boxes_xyxy[k], boxes_xyxy[kept]).max() <= nms_iou:
             kept.append(int(k))
     return np.array(kept, int)
-
-
-def _iou(box: np.ndarray, others: np.ndarray) -> np.ndarray:
-    low, high = np.maximum(box[:2], others[:, :2]), np.minimum(box[2:], others[:, 2:])
-    overlap = np.clip(high - low, 0, None).prod(1)
-    area = (box[2:] - box[:2]).prod() + (others[:, 2:] - others[:, :2]).prod(1) - overlap
-    return overlap / np.maximum(area, 1e-9)
