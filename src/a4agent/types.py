@@ -92,6 +92,11 @@ def finite_or_none(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
+def rounded(pixels: np.ndarray) -> Any:
+    """Coordinates as JSON, to a hundredth of a pixel."""
+    return np.round(pixels.astype(np.float64), 2).tolist()
+
+
 def no_boxes() -> np.ndarray:
     """(0, 4) float32."""
     return np.zeros((0, 4), np.float32)
@@ -276,13 +281,13 @@ class Affordance:
             "checks": [asdict(check) for check in self.checks],
             "target": asdict(self.target) if self.target else None,
             "imagination": {"prompt": self.imagination.prompt} if self.imagination else None,
-            "boxes_xyxy": _floats(self.boxes_xyxy),
-            "points_xy": _floats(self.points_xy),
+            "boxes_xyxy": rounded(self.boxes_xyxy),
+            "points_xy": rounded(self.points_xy),
             "mask": encode_rle(self.mask),
             "regions": [
                 {
-                    "box_xyxy": None if region.box_xyxy is None else _floats(region.box_xyxy),
-                    "points_xy": _floats(region.points_xy),
+                    "box_xyxy": None if region.box_xyxy is None else rounded(region.box_xyxy),
+                    "points_xy": rounded(region.points_xy),
                     "mask": encode_rle(region.mask),
                     "score": region.score,
                     "predicted_iou": region.predicted_iou,
@@ -403,10 +408,6 @@ class Affordance:
             raise InputError(f"cannot read {str(path)!r}: {error}") from error
         except (ValueError, RecursionError, DataError) as error:
             raise DataError(f"{str(path)!r} is not a saved answer: {error}") from error
-
-
-def _floats(array: np.ndarray) -> Any:
-    return np.round(array.astype(np.float64), 2).tolist()
 
 
 def _region(row: Mapping[str, Any]) -> Region:

@@ -22,7 +22,7 @@ from a4agent.errors import InputError, MissingExtraError
 from a4agent.imaging.load import TooManyPixels, load_image, read_pixels
 from a4agent.redaction import redact
 from a4agent.serve.admission import Limits, Refused, to_json
-from a4agent.types import Affordance, Detection, Given, Imagination, Target, finite_or_none
+from a4agent.types import Affordance, Detection, Given, Imagination, Target, finite_or_none, rounded
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -399,8 +399,8 @@ def stage_to_wire(name: str, value: Any, imagination: PictureForm) -> dict[str, 
         return redact(TargetOut.model_validate(value, from_attributes=True).model_dump())
     found: Detection = value
     return {
-        "boxes_xyxy": _rounded(found.boxes_xyxy),
-        "points_xy": _rounded(found.points_xy),
+        "boxes_xyxy": rounded(found.boxes_xyxy),
+        "points_xy": rounded(found.points_xy),
         "scores": None if found.scores is None else [finite_or_none(round(float(x), 4)) for x in found.scores],
     }
 
@@ -432,7 +432,3 @@ def _png(image: Image) -> str:
     file = io.BytesIO()
     image.save(file, "PNG")
     return base64.b64encode(file.getvalue()).decode("ascii")
-
-
-def _rounded(array: np.ndarray) -> list[Any]:
-    return np.round(array.astype(np.float64), 2).tolist()

@@ -27,7 +27,7 @@ import json
 import tempfile
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from PIL import Image
@@ -52,7 +52,7 @@ CONTACTS = 8
 """Places on the mask that are tried until one has a measured depth."""
 SOURCE = "a4 bench sim-act"
 ContactSource = Literal["answer", "object", "part", "random"]
-SOURCES: tuple[ContactSource, ...] = ("answer", "object", "part", "random")
+SOURCES: tuple[ContactSource, ...] = get_args(ContactSource)
 BY_NAME = {task.name: task for task in TASKS}
 
 

@@ -17,7 +17,7 @@ from a4agent.imaging.masks import deepest_point
 from a4agent.protocols import Detector, DetectRequest, Prompt, Segmenter, SegmentRequest
 from a4agent.stages.pairing import Pairing, clean_boxes, clean_points, to_prompts
 from a4agent.stages.recorder import Recorder
-from a4agent.types import Detection, Region, no_points
+from a4agent.types import Detection, Region, finite_or_none, no_points
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -68,8 +68,8 @@ class Spotter:
                 box_xyxy=prompt.box_xyxy,
                 points_xy=_key_points(mask) if detection.points_derived else prompt.points_xy,
                 mask=mask,
-                score=_finite(quality if scores is None or box is None else scores[box]),
-                predicted_iou=_finite(quality),
+                score=finite_or_none(float(quality if scores is None or box is None else scores[box])),
+                predicted_iou=finite_or_none(float(quality)),
             )
             for (prompt, box), mask, quality in zip(pairs, masks, predicted_iou, strict=True)
         )
@@ -88,7 +88,7 @@ class Spotter:
         prompts = tuple(Prompt(region.box_xyxy, region.points_xy) for region in prompted)
         masks, predicted_iou = self._segment(image, prompts, recorder, stage)
         return tuple(
-            replace(region, mask=mask, predicted_iou=_finite(quality))
+            replace(region, mask=mask, predicted_iou=finite_or_none(float(quality)))
             for region, mask, quality in zip(prompted, masks, predicted_iou, strict=True)
         )
 
@@ -104,11 +104,6 @@ def _key_points(mask: np.ndarray) -> np.ndarray:
     """Where the model gave no point (k, 2): the one deepest inside the mask."""
     point = deepest_point(mask)
     return no_points() if point is None else point[None]
-
-
-def _finite(value: float) -> float | None:
-    """A score; None if it is not finite."""
-    return float(value) if np.isfinite(value) else None
 
 
 def _clean(expert: str, detection: Detection, size_wh: tuple[int, int]) -> Detection:
@@ -164,7 +159,7 @@ def _regions_of_masks(expert: str, detection: Detection, size_wh: tuple[int, int
             box_xyxy=box,
             points_xy=detection.points_xy[mask[rows, columns]],
             mask=mask.astype(bool, copy=False),
-            score=None if scores is None else _finite(scores[i]),
+            score=None if scores is None else finite_or_none(float(scores[i])),
         )
         for i, (box, mask) in enumerate(zip(detection.boxes_xyxy, detection.masks, strict=True))
     )

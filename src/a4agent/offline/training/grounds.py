@@ -108,15 +108,13 @@ def ground(rng: Rng, size: int) -> np.ndarray:
             image[rim] = any_colour(rng)
     elif pick < 0.5:  # a board, a cutting board, a sheet of paper, a tray
         other = texture(rng, size) if rng.random() < 0.6 else None
-        mask = np.zeros((size, size), np.uint8)
         quad = _quad(rng, size, rng.uniform(0.25, 0.6), *rng.uniform(0.35, 0.65, 2))
         if rng.random() < 0.15:
             quad = (
                 ellipse(rng.uniform(0.4, 0.6), rng.uniform(0.4, 0.6), rng.uniform(0.3, 0.7), rng.uniform(0.3, 0.7))
                 * size
             )
-        cv2.fillPoly(mask, [np.round(quad).astype(np.int32)], 1)
-        image[mask > 0] = other[mask > 0] if other is not None else any_colour(rng)
+        _lay(rng, image, quad, other)
         if rng.random() < 0.5:
             cv2.polylines(
                 image,
@@ -161,10 +159,14 @@ def sheet(rng: Rng, image: np.ndarray, center_xy: tuple[float, float], half: flo
     """A blank or printed card, a sheet of paper, a board: a flat thing that is no thing to act on."""
     size = len(image)
     quad = _quad(rng, size, half, *center_xy)
-    other = texture(rng, size) if rng.random() < 0.4 else None
-    mask = np.zeros((size, size), np.uint8)
-    cv2.fillPoly(mask, [np.round(quad).astype(np.int32)], 1)
-    image[mask > 0] = other[mask > 0] if other is not None else any_colour(rng)
+    _lay(rng, image, quad, texture(rng, size) if rng.random() < 0.4 else None)
+
+
+def _lay(rng: Rng, image: np.ndarray, outline: np.ndarray, look: np.ndarray | None) -> None:
+    """Cover an outline (n, 2) with a texture of the picture's size, or with any colour."""
+    mask = np.zeros(image.shape[:2], np.uint8)
+    cv2.fillPoly(mask, [np.round(outline).astype(np.int32)], 1)
+    image[mask > 0] = look[mask > 0] if look is not None else any_colour(rng)
 
 
 def _clutter(rng: Rng, image: np.ndarray, size: int) -> None:
