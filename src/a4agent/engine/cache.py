@@ -24,7 +24,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -35,6 +35,9 @@ from a4agent.imaging.masks import decode_rle, encode_rle
 from a4agent.protocols import Answer, ChatAnswer, EditAnswer, Expert, Request, Segmentation
 from a4agent.redaction import redact
 from a4agent.types import Detection, Usage
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 log = logging.getLogger("a4agent")
 
@@ -210,10 +213,9 @@ def _plain(value: Any) -> Any:
 
 def pack(answer: Answer) -> bytes:
     """An answer as bytes; `unpack` gives an equal one."""
-    pictures: list[bytes] = []
-    held = {field.name: _stored(getattr(answer, field.name), pictures) for field in fields(answer)}
+    held = {field.name: _stored(getattr(answer, field.name)) for field in fields(answer)}
     line = json.dumps(redact({"kind": type(answer).__name__, **held})).encode()
-    body = line + b"\n" + b"".join(pictures)
+    body = line + b"\n" + (_png(answer.image) if isinstance(answer, EditAnswer) else b"")
     return hashlib.sha256(body).hexdigest().encode() + b"\n" + body
 
 
@@ -240,17 +242,20 @@ def unpack(data: bytes) -> Answer | None:
         return None
 
 
-def _stored(value: Any, pictures: list[bytes]) -> Any:
-    """A field of an answer as JSON; a picture's bytes are added to `pictures`."""
+def _png(picture: Image) -> bytes:
+    buffer = io.BytesIO()
+    picture.convert("RGB").save(buffer, "PNG", compress_level=1)
+    return buffer.getvalue()
+
+
+def _stored(value: Any) -> Any:
+    """A field of an answer as JSON; of a picture only that there is one."""
     from PIL.Image import Image
 
     if isinstance(value, Usage):
         return {"usage": vars(value)}
     if isinstance(value, Image):
-        buffer = io.BytesIO()
-        value.convert("RGB").save(buffer, "PNG", compress_level=1)
-        pictures.append(buffer.getvalue())
-        return {"picture": len(pictures)}
+        return {"picture": True}
     if not isinstance(value, np.ndarray):
         return value
     shape = list(value.shape)
