@@ -113,14 +113,7 @@ class Bench:
         """What decides the answers of this run."""
         return Manifest(
             identity={
-                "benchmark": self.benchmark.name,
-                "data": self.benchmark.fingerprint(),
-                "selection": {
-                    "limit": self.selection.limit,
-                    "shuffle": self.selection.shuffle,
-                    "samples": len(self.selection.indices(len(self.benchmark))),
-                },
-                "protocol": metrics.protocol_of(self.protocol or self.benchmark.protocol).name,
+                **data_identity(self.benchmark, self.selection, self.protocol),
                 "oracle": self.oracle,
                 "settings": settings_identity(self.settings),
                 "experts": [dict(expert.fingerprint()) for expert in agent.experts()],
@@ -129,8 +122,7 @@ class Bench:
             about={
                 "profile": self.settings.name,
                 "label": self.label,
-                "data": str(self.benchmark.root),
-                "licence": self.benchmark.licence,
+                **data_about(self.benchmark),
                 "settings": settings_shown(self.settings),
                 **({"leaks": dict(self.leaks)} if self.leaks else {}),
             },
@@ -159,6 +151,22 @@ class Bench:
             for _ in session:
                 pass
         return read_run(session.folder)
+
+
+def data_identity(benchmark: Benchmark, selection: Selection, protocol: str | None) -> dict[str, Any]:
+    """The part of a manifest's identity that says what is asked and how it is scored."""
+    samples = len(selection.indices(len(benchmark)))
+    return {
+        "benchmark": benchmark.name,
+        "data": benchmark.fingerprint(),
+        "selection": {"limit": selection.limit, "shuffle": selection.shuffle, "samples": samples},
+        "protocol": metrics.protocol_of(protocol or benchmark.protocol).name,
+    }
+
+
+def data_about(benchmark: Benchmark) -> dict[str, str]:
+    """Where the data was and under which licence, for a manifest's `about`."""
+    return {"data": str(benchmark.root), "licence": benchmark.licence}
 
 
 class Session:

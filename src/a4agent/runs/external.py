@@ -21,7 +21,7 @@ from a4agent.engine.pipeline import ordered_map
 from a4agent.errors import DataError, InputError
 from a4agent.imaging.load import load_image
 from a4agent.metrics import Row
-from a4agent.runs.bench import row_of
+from a4agent.runs.bench import Selection, data_about, data_identity, row_of
 from a4agent.runs.manifest import Manifest
 from a4agent.runs.store import Run, RunWriter, read_run
 from a4agent.types import Affordance, Region
@@ -82,22 +82,14 @@ def write_run(
     """
     manifest = Manifest(
         identity={
-            "benchmark": benchmark.name,
-            "data": benchmark.fingerprint(),
-            "selection": {"limit": None, "shuffle": None, "samples": len(benchmark)},
-            "protocol": metrics.protocol_of(protocol or benchmark.protocol).name,
+            **data_identity(benchmark, Selection(), protocol),
             "oracle": None,
             "settings": None,
             "experts": [{"id": f"external:{name}"}],
             "prompts": {},
             "predictions": predictions.digest(),
         },
-        about={
-            "label": name,
-            "data": str(benchmark.root),
-            "licence": benchmark.licence,
-            "leaks": dict(leaks or {}),
-        },
+        about={"label": name, **data_about(benchmark), "leaks": dict(leaks or {})},
     )
 
     def answered(sample: Sample) -> tuple[Sample, tuple[np.ndarray, ...], Affordance]:
