@@ -9,7 +9,7 @@ from a4agent.errors import ConfigError, ModelFilesError, UnknownNameError
 from a4agent.experts.local import sam2
 from a4agent.protocols import Prompt, SegmentRequest
 
-pytest.importorskip("torch")
+torch = pytest.importorskip("torch")
 
 
 def box(*corners):
@@ -185,6 +185,16 @@ def test_many_prompts_are_decoded_in_chunks(tiny_sam2, noise, monkeypatch):
     answer = segmenter.segment([SegmentRequest(noise(80, 48), prompts)])[0]
     assert decoded == [3, 3, 1]
     assert answer.masks.shape == (7, 1, 48, 80)
+
+
+def test_half_precision_is_for_the_encoder(tiny_sam2, noise):
+    half, full = (sam2.create(str(tiny_sam2), "segmenter", dtype=dtype) for dtype in ("bfloat16", "float32"))
+    for segmenter in (half, full):
+        segmenter.prepare([noise(80, 48)])
+    (rounded,), (exact,) = half._embeddings.values(), full._embeddings.values()
+    assert all(level.dtype == torch.float32 for level in rounded)
+    assert not torch.equal(rounded[0], exact[0])
+    torch.testing.assert_close(rounded[0], exact[0], atol=0.1, rtol=0.1)
 
 
 def test_half_precision_keeps_the_prompts_exact(tiny_sam2, noise):
