@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from a4agent.imaging.load import load_image
     from a4agent.types import Affordance, Check, Given, Imagination, Query, Region, Target, Trace
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "A4Agent",
     "Affordance",
