@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import pictures
-from a4agent.acting.contact import contact_points
 from a4agent.config import Settings
 from a4agent.errors import A4Error, ConfigError, DataError
 from a4agent.runs.bench import Bench
@@ -17,8 +15,7 @@ from a4agent.runs.compare import compare
 from a4agent.runs.report import render
 from a4agent.runs.store import read_run
 from a4agent.sim.act import create, make_trials
-from a4agent.sim.act_tasks import TASKS, ActTask
-from a4agent.sim.act_trial import Trial
+from a4agent.sim.act_tasks import TASKS
 from a4agent.types import Affordance, Region
 
 BY_NAME = {task.name: task for task in TASKS}
@@ -34,70 +31,6 @@ def answer(mask: np.ndarray, status: str = "ok") -> Affordance:
     height, width = mask.shape
     regions = (Region(None, np.zeros((0, 2), np.float32), mask),) if mask.any() else ()
     return Affordance("open", (width, height), regions=regions, status=status)  # pyright: ignore[reportArgumentType]
-
-
-def test_there_are_at_least_twelve_tasks_with_distinct_names() -> None:
-    assert len(BY_NAME) == len(TASKS) >= 12
-    assert all(task.sentences and task.part and task.waypoints for task in TASKS)
-
-
-@pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)
-def test_no_task_is_done_before_the_hand_moves(task: ActTask, simulator: None) -> None:
-    with Trial(task, 0) as trial:
-        assert not trial.done
-        assert (trial.at >= np.array(task.low)).all()
-        assert (trial.at <= np.array(task.high)).all()
-
-
-@pytest.mark.parametrize("name", ["hammer-lift", "handle-pull", "plug-pull"])
-def test_open_fingers_take_hold_and_closed_ones_do_not(name: str, simulator: None) -> None:
-    task = BY_NAME[name]
-    with Trial(task, 0) as trial:
-        view = trial.photograph()
-        contact = contact_points(view.part, view.depth.astype(np.float64), view.camera)[0]
-        assert contact.position_xyz is not None
-        place = view.to_world(contact.position_xyz)
-        assert trial.act(place).success
-    with Trial(replace(task, grasp=None), 0) as trial:
-        assert not trial.act(place).success
-
-
-def test_the_microwave_of_another_package_opens(simulator: None) -> None:
-    task = BY_NAME["microwave-open"]
-    with Trial(task, 0) as trial:
-        view = trial.photograph()
-        contact = contact_points(view.part, view.depth.astype(np.float64), view.camera)[0]
-        assert contact.position_xyz is not None
-        assert trial.act(view.to_world(contact.position_xyz)).success
-        assert view.image[:40].mean() > 60, "the sky of the scene is still there"
-        assert float(trial.data.qpos[9]) < -0.45
-
-
-def test_the_hand_does_not_move_for_a_point_out_of_reach(simulator: None) -> None:
-    with Trial(BY_NAME["button-press"], 0) as trial:
-        before = trial.data.qpos.copy()
-        filmed: list[int] = []
-        outcome = trial.act(np.array([-30.0, 50.0, -10.0]), lambda: filmed.append(1))
-        assert (outcome.success, outcome.steps, len(filmed)) == (False, 0, 1)
-        assert (trial.data.qpos == before).all()
-
-
-def test_a_guest_that_is_not_in_its_file_is_named(simulator: None) -> None:
-    task = BY_NAME["microwave-open"]
-    assert task.guest is not None
-    with pytest.raises(DataError, match=r"microwave-open.* needs a body .* and 'no-oven'"):
-        Trial(replace(task, guest=replace(task.guest, root="no-oven")), 0)
-
-
-def test_the_picture_and_the_world_agree(simulator: None) -> None:
-    with Trial(BY_NAME["button-press"], 1) as trial:
-        view = trial.photograph()
-        contact = contact_points(view.part, view.depth.astype(np.float64), view.camera)[0]
-        assert contact.position_xyz is not None
-        centre = np.asarray(trial.data.geom("btnGeom").xpos)
-        assert np.linalg.norm(view.to_world(contact.position_xyz) - centre) < 0.04
-    assert view.part[~view.thing].sum() == 0
-    assert view.image.shape == (480, 640, 3)
 
 
 def test_the_true_part_succeeds_and_another_place_is_lost(trials: Path) -> None:

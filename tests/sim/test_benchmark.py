@@ -174,7 +174,7 @@ def test_the_default_set_is_made_once(
     monkeypatch.setattr(sim, "DEFAULT_N", 2)
     first = sim.create()
     assert len(first) == 2
-    assert "rendering the default set of 2 samples once" in caplog.text
+    assert "rendering a set of 2 samples once" in caplog.text
     assert first.root.is_relative_to(tmp_path)
     assert [path.name for path in first.root.parent.iterdir()] == [first.root.name]
 
