@@ -24,24 +24,23 @@ the true part), "random" (any point of the picture). The contact of the true par
 from __future__ import annotations
 
 import json
-import tempfile
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from PIL import Image
-from pydantic import BaseModel, ValidationError
+from pydantic import AfterValidator, BaseModel
 
 from a4agent.acting.contact import contact_points
 from a4agent.acting.lifting import Intrinsics, back_project, read_depth
 from a4agent.benchmarks import files
 from a4agent.benchmarks.base import Benchmark, Sample, Truth
-from a4agent.errors import ConfigError, DataError
+from a4agent.errors import ConfigError
 from a4agent.sim.act_tasks import TASKS, ActTask
 from a4agent.sim.act_trial import Trial
 from a4agent.sim.backend import renderer
-from a4agent.sim.benchmark import cache_folder
+from a4agent.sim.benchmark import checked_rows, made_once
 from a4agent.types import Affordance, Query
 
 FORMAT = 2
@@ -56,11 +55,17 @@ SOURCES: tuple[ContactSource, ...] = get_args(ContactSource)
 BY_NAME = {task.name: task for task in TASKS}
 
 
+def _known_task(name: str) -> str:
+    if name not in BY_NAME:
+        raise ValueError(f"unknown task {name!r}")
+    return name
+
+
 class TrialRow(BaseModel):
     """A row of samples.jsonl."""
 
     id: str
-    task: str
+    task: Annotated[str, AfterValidator(_known_task)]
     seed: int
     instruction: str
     image: str
@@ -87,8 +92,10 @@ def create(
         raise ConfigError(f"invalid contact {contact!r}; use one of {', '.join(SOURCES)}")
     if seeds < 1:
         raise ConfigError(f"invalid seeds {seeds!r}; use 1 or more trials a task")
-    root = files.folder(path or _default_set(seeds), "sim-act")
-    rows = _read_rows(root)
+    if path is None:
+        path = made_once(f"sim-act-v{FORMAT}-{seeds}", seeds * len(TASKS), lambda out: make_trials(out, seeds))
+    root = files.folder(path, "sim-act")
+    rows = checked_rows(root, TrialRow, SOURCE)
     scorer = TrialScorer(root, rows, contact, film=frames)
     named = [name for row in rows for name in (row.image, row.depth, row.part, row.thing)]
     return Benchmark(
@@ -140,34 +147,6 @@ def _draw(out: Path, task: ActTask, seed: int) -> dict[str, Any]:
     for name, pixels in pictures.items():
         Image.fromarray(pixels).save(out / name)
     return row.model_dump()
-
-
-def _default_set(seeds: int) -> Path:
-    folder = cache_folder() / f"sim-act-v{FORMAT}-{seeds}"
-    if not (folder / "samples.jsonl").is_file():
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".making-") as making:
-            made = make_trials(Path(making) / "set", seeds)
-            try:
-                made.rename(folder)
-            except OSError:
-                if not (folder / "samples.jsonl").is_file():  # another process may have been faster
-                    raise
-    return folder
-
-
-def _read_rows(root: Path) -> list[TrialRow]:
-    rows: list[TrialRow] = []
-    for number, line in files.read_jsonl(root / "samples.jsonl"):
-        try:
-            row = TrialRow.model_validate(line)
-        except ValidationError as error:
-            wrong = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
-            raise DataError(f"line {number} of {str(root / 'samples.jsonl')!r}: {wrong}; {SOURCE}") from error
-        if row.task not in BY_NAME:
-            raise DataError(f"line {number} of {str(root / 'samples.jsonl')!r}: unknown task {row.task!r}; {SOURCE}")
-        rows.append(row)
-    return rows
 
 
 def _sample(root: Path, row: TrialRow) -> Sample:

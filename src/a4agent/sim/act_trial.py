@@ -21,9 +21,12 @@ import numpy as np
 
 from a4agent.acting.lifting import Intrinsics
 from a4agent.errors import DataError
-from a4agent.sim.act_scene import load_scene
 from a4agent.sim.act_tasks import ActTask
+from a4agent.sim.assets import asset_path
 from a4agent.sim.backend import mujoco, renderer
+from a4agent.sim.catalogue import built_in
+from a4agent.sim.placing import subtree_geoms
+from a4agent.sim.scene import drop_unused, same_physics
 
 SIZE_WH = (640, 480)
 FOVY = 45.0
@@ -74,6 +77,32 @@ class Outcome:
     steps: int
 
 
+def load_scene(task: ActTask) -> Any:
+    """The compiled model of a task's scene: Meta-World's own, or one of its scenes with a thing of another package.
+
+    Raises:
+        MissingExtraError: mujoco or an asset package is not installed.
+        DataError: a file of a package does not hold what the task says.
+    """
+    path = str(asset_path(built_in(), "metaworld", f"sawyer_xyz/{task.model}"))
+    if task.guest is None:
+        return mujoco().MjModel.from_xml_path(path)
+    guest = task.guest
+    spec = mujoco().MjSpec.from_file(path)
+    child = mujoco().MjSpec.from_file(str(asset_path(built_in(), guest.package, guest.file)))
+    host, root = spec.body(guest.instead_of), child.body(guest.root)
+    if host is None or root is None:
+        raise DataError(
+            f"{task.name!r} needs a body {guest.instead_of!r} in {task.model!r} and {guest.root!r} in {guest.file!r}"
+        )
+    spec.delete(host)
+    same_physics(child, spec)
+    root.pos = np.zeros(3)
+    spec.worldbody.add_body(name=task.thing).add_frame().attach_body(root, f"{task.thing}/", "")
+    drop_unused(spec, f"{task.thing}/")
+    return spec.compile()
+
+
 class Trial:
     """A task with its thing placed by a seed. Use it as a context manager, or call `close`."""
 
@@ -84,7 +113,7 @@ class Trial:
         self.data: Any = mujoco().MjData(self.model)
         self._free_weld()
         self.at = self._rng.uniform(task.low, task.high)
-        self._arm = self._below("base")
+        self._arm = subtree_geoms(self.model, "base")
         self.reset()
 
     def __enter__(self) -> Trial:
@@ -132,7 +161,7 @@ class Trial:
             rendering.disable_depth_rendering()
             rendering.enable_segmentation_rendering()
             ids = self._render(rendering, camera)[..., 0]
-        thing = self._below(self.task.thing)
+        thing = subtree_geoms(self.model, self.task.thing)
         part = [geom for geom in thing if self._is_part(int(geom))]
         if not part:
             raise DataError(f"no geom of {self.task.model!r} matches the part {self.task.part!r} of {self.task.name!r}")
@@ -207,17 +236,8 @@ class Trial:
             names.add(f"{body}:{model.mat(model.geom_matid[geom]).name}")
         return bool(names & set(self.task.part))
 
-    def _below(self, body: str) -> np.ndarray:
-        """Ids of all geoms of a body and its children."""
-        model, root = self.model, self.model.body(body).id
-        inside = np.zeros(model.nbody, bool)
-        inside[root] = True
-        for child in range(root + 1, model.nbody):
-            inside[child] = inside[model.body_parentid[child]]
-        return np.flatnonzero(inside[model.geom_bodyid])
-
     def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        drawn = [geom for geom in self._below(self.task.thing) if self.model.geom_group[geom] <= 2]
+        drawn = [geom for geom in subtree_geoms(self.model, self.task.thing) if self.model.geom_group[geom] <= 2]
         centres = np.array([self.data.geom_xpos[geom] for geom in drawn])
         radii = np.array([self.model.geom_rbound[geom] for geom in drawn])[:, None] * 0.7
         return (centres - radii).min(0), (centres + radii).max(0)

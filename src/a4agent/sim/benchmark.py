@@ -14,10 +14,12 @@ from __future__ import annotations
 
 import logging
 import os
+import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
@@ -31,6 +33,7 @@ from a4agent.types import Query
 
 log = logging.getLogger("a4agent")
 
+RowT = TypeVar("RowT", bound=BaseModel)
 DEFAULT_N, DEFAULT_SEED = 200, 0
 SOURCE = "a4 data make sim --out DIR"
 SIZES = ((0.003, "below 0.3 %"), (0.01, "0.3 to 1 %"), (0.04, "1 to 4 %"), (1.0, "above 4 %"))
@@ -123,13 +126,22 @@ def read_rows(root: Path) -> list[SceneRow]:
     Raises:
         DataError: a row that `a4 data make sim` would not write; says which and what is wrong.
     """
-    rows: list[SceneRow] = []
+    return checked_rows(root, SceneRow, SOURCE)
+
+
+def checked_rows(root: Path, kind: type[RowT], source: str) -> list[RowT]:
+    """The rows of a samples.jsonl as models of one kind.
+
+    Raises:
+        DataError: a row is not one; the message ends with `source`, where to get a set.
+    """
+    rows: list[RowT] = []
     for number, row in files.read_jsonl(root / "samples.jsonl"):
         try:
-            rows.append(SceneRow.model_validate(row))
+            rows.append(kind.model_validate(row))
         except ValidationError as error:
             wrong = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
-            raise DataError(f"line {number} of {str(root / 'samples.jsonl')!r}: {wrong}; {SOURCE}") from error
+            raise DataError(f"line {number} of {str(root / 'samples.jsonl')!r}: {wrong}; {source}") from error
     return rows
 
 
@@ -140,26 +152,26 @@ def default_set() -> Path:
     """
     from a4agent.sim.make import FORMAT, make_set
 
-    folder = cache_folder() / f"sim-v{FORMAT}-test-{DEFAULT_SEED}-{DEFAULT_N}"
-    if not (folder / "set.json").is_file():
-        import tempfile
+    name = f"sim-v{FORMAT}-test-{DEFAULT_SEED}-{DEFAULT_N}"
+    return made_once(name, DEFAULT_N, lambda out: make_set(out, n=DEFAULT_N, seed=DEFAULT_SEED))
 
-        log.warning("rendering the default set of %d samples once, in a few minutes, into %s", DEFAULT_N, folder)
+
+def made_once(name: str, samples: int, make: Callable[[Path], object]) -> Path:
+    """The set `name` in the cache (A4_CACHE_DIR, else the system's), which `make` writes if it is not there."""
+    chosen = os.environ.get("A4_CACHE_DIR")
+    folder = (Path(chosen).expanduser() if chosen else system_cache()) / "sim" / name
+    if not folder.is_dir():
+        log.warning("rendering a set of %d samples once, in a few minutes, into %s", samples, folder)
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".making-") as making:
-            made = make_set(Path(making) / "set", n=DEFAULT_N, seed=DEFAULT_SEED)
+            made = Path(making) / "set"
+            make(made)
             try:
-                made.rename(folder)
+                made.rename(folder)  # only a whole set has this name
             except OSError:
-                if not (folder / "set.json").is_file():  # another process may have been faster
+                if not folder.is_dir():  # another process may have been faster
                     raise
     return folder
-
-
-def cache_folder() -> Path:
-    """Where made sets are kept: below A4_CACHE_DIR, else below the system's place for caches."""
-    chosen = os.environ.get("A4_CACHE_DIR")
-    return (Path(chosen).expanduser() if chosen else system_cache()) / "sim"
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +209,7 @@ def read_regions(root: Path, row: SceneRow) -> tuple[np.ndarray, ...]:
 def _sample(root: Path, row: SceneRow) -> Sample:
     several = row.choose == "any" and len(row.region_numbers) > 1
     truth = Truth(
-        load_mask=partial(_mask, root, row.mask),
+        load_mask=partial(files.read_mask_in, root, row.mask),
         object_name=row.object_name,
         object_part=row.object_part,
         affordance=row.affordance,
@@ -212,10 +224,6 @@ def _sample(root: Path, row: SceneRow) -> Sample:
         load_alternatives=partial(read_regions, root, row) if several else None,
     )
     return Sample(Query(row.id, files.confined(root, row.image), row.instruction), truth)
-
-
-def _mask(root: Path, name: str) -> np.ndarray:
-    return files.read_mask(files.confined(root, name))
 
 
 def _pixels(root: Path, name: str) -> np.ndarray:
