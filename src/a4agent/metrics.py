@@ -311,15 +311,15 @@ def compare(
     tables = [_table([run[name] for name in shared], rule) for run in (first, second)]
     kept = tables[0][1] & tables[1][1]
     names = [name for name, keep in zip(shared, kept, strict=True) if keep]
-    pair = np.concatenate([table[:, kept] for table, _ in tables])
-    draws = _resample(pair, resamples, seed)
-    halves = [_measures(draws[:, half], len(names), rule) for half in (slice(0, 5), slice(5, 10))]
+    pair = [table[:, kept] for table, _ in tables]
+    draws = np.split(_resample(np.concatenate(pair), resamples, seed), 2, axis=1)
+    measures = [_measures(sums, len(names), rule) for sums in draws]
     scores = [
-        _scores(rule, [run[name] for name in shared], pair[half], _intervals(measures))
-        for run, half, measures in zip((first, second), (slice(0, 5), slice(5, 10)), halves, strict=True)
+        _scores(rule, [run[name] for name in shared], table, _intervals(drawn))
+        for run, table, drawn in zip((first, second), pair, measures, strict=True)
     ]
-    differences = _intervals(halves[1] - halves[0])
-    crossed = pair[5 + 1] - pair[1]
+    differences = _intervals(measures[1] - measures[0])
+    crossed = pair[1][1] - pair[0][1]
     return Comparison(
         first=scores[0],
         second=scores[1],
@@ -336,7 +336,7 @@ def compare(
 
 
 def _table(rows: Sequence[Row], rule: Protocol) -> tuple[np.ndarray, np.ndarray]:
-    """Each sample's part of the sums, (5, n) float64: IoU, whether above 0.5, thresholds passed, I, U.
+    """Each sample's part of the sums, (lines, n) float64: IoU, whether above 0.5, thresholds passed, I, U.
 
     The second value (n,) of bool says which samples the protocol keeps.
     """
@@ -358,7 +358,7 @@ def _table(rows: Sequence[Row], rule: Protocol) -> tuple[np.ndarray, np.ndarray]
 
 
 def _measures(sums: np.ndarray, n: int, rule: Protocol) -> np.ndarray:
-    """From sums over n samples of a table's lines, (k, 5), to gIoU, cIoU, P@50 and P@50:95, (k, 4)."""
+    """From sums over n samples of a table's lines, (k, lines), to the values of `MEASURES`, (k, measures)."""
     iou, above_half, passed, shared, either = sums.T
     with np.errstate(invalid="ignore", divide="ignore"):
         measures = np.stack(
@@ -375,13 +375,10 @@ def _scores(
     n = table.shape[1]
     # math.fsum is exact, so a run that was resumed in another order has the same scores to the last bit.
     sums = np.array([[math.fsum(line) for line in table]])
-    giou, ciou, p50, p50_95 = _measures(sums, n, rule)[0].tolist() if n else [math.nan] * 4
+    values = _measures(sums, n, rule)[0].tolist() if n else [math.nan] * len(MEASURES)
     return Scores(
         protocol=rule.name,
-        giou=giou,
-        ciou=ciou,
-        p50=p50,
-        p50_95=p50_95,
+        **dict(zip(MEASURES, values, strict=True)),
         n=len(rows),
         n_scored=n,
         n_failed=sum(row.failed for row in rows),
@@ -410,7 +407,7 @@ def interval(values: np.ndarray) -> tuple[float, float]:
 
 
 def _intervals(measures: np.ndarray) -> dict[str, tuple[float, float]]:
-    """The interval of each measure over resamples (k, 4)."""
+    """The interval of each measure over resamples (k, measures)."""
     return {name: interval(values) for name, values in zip(MEASURES, measures.T, strict=True)}
 
 
