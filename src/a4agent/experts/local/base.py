@@ -255,7 +255,18 @@ class LocalExpert(ExpertBase):
     request or by `load()`. A subclass loads `_model` in `_load`; `shrinking` are the settings with which it needs less
     memory.
 
-    Its methods raise ResourceError if the weights do not fit and ProviderError if the model fails.
+    The first argument of a subclass is its checkpoint: a folder, or a name on the hub. Settings that subclasses share:
+
+        revision: branch, tag or commit.
+        device: "auto", a torch device, or "spread" over all GPUs and the CPU where a model can be split.
+        dtype: "auto" (bfloat16 on an accelerator, float32 on a CPU), "bfloat16", "float16", "float32".
+        attention: "auto" (sdpa where the model has it), "sdpa", "eager", "flash_attention_2".
+        quantisation: "none", "8bit" or "4bit" (bitsandbytes).
+        max_batch: the most requests at once; halved whenever memory runs out.
+
+    Making one raises ModelFilesError (no such checkpoint, or the hub cannot be reached) and ConfigError (a setting has
+    a value it does not take); its methods raise ResourceError if the weights do not fit and ProviderError if the model
+    fails.
     """
 
     shrinking: tuple[str, ...] = ()

@@ -29,20 +29,14 @@ from a4agent.types import Detection
 class FalconPerception(LocalExpert):
     """Finds all instances of a phrase, each with a box and, if the model segments, a mask.
 
-    Args:
-        model: a folder, or a name on the hub.
-        role: "detector".
-        trust_remote_code: run the Python code in the model's repository.
-        revision: branch, tag or commit; a commit pins that code.
-        device: "auto" or a torch device.
-        dtype: number format; float32, as published.
+    Args beyond those of `LocalExpert`:
+        trust_remote_code: run the Python code in the model's repository; a `revision` that is a commit pins that code.
+        dtype: float32, as published.
         max_dimension: the longer side, in pixels, that larger images are scaled down to.
         compile: compile the network at the first request, which pays off over many.
-        max_batch: the most images at once; halved whenever memory runs out.
 
     Raises:
-        ConfigError: `trust_remote_code` is not set, or a setting has a value it does not take.
-        ModelFilesError: no such checkpoint, or the hub cannot be reached.
+        ConfigError: `trust_remote_code` is not set.
     """
 
     def __init__(

@@ -82,13 +82,8 @@ LIGHTNING_SCHEDULER = {
 class DiffusersEditor(LocalExpert):
     """An image editor of diffusers. It edits one picture at a time: pipelines take no batches with prompts.
 
-    Args:
-        model: a folder, or a name on the hub.
-        role: "editor".
-        revision: branch, tag or commit.
-        device: "auto" or a torch device.
-        dtype: "auto" (bfloat16 on an accelerator, float32 on a CPU), "bfloat16", "float16", "float32".
-        quantisation: "none", "8bit" or "4bit" (bitsandbytes), for the transformer and the text encoder.
+    Args beyond those of `LocalExpert`:
+        quantisation: of the transformer and the text encoder.
         offload: "none"; "model" keeps one part at a time on the accelerator; "sequential" one layer (slow).
         lightning: 0, or 4 or 8 steps with the distilled LoRA of `model`.
         lora: the LoRA's file, on this disk or as OWNER/NAME/PATH on the hub, instead of Lightning's own.
@@ -99,8 +94,8 @@ class DiffusersEditor(LocalExpert):
         output_pixels: area of the edited picture, which keeps the proportions; less is faster.
 
     Raises:
-        ModelFilesError: no such checkpoint or LoRA, or the hub cannot be reached.
-        ConfigError: a setting has a value it does not take, or the pipeline has no such setting.
+        ModelFilesError: no such LoRA.
+        ConfigError: the pipeline has no such setting.
     """
 
     def __init__(

@@ -52,21 +52,12 @@ class Candidates:
 class OpenVocabularyDetector(LocalExpert):
     """A detector that scores boxes. A subclass prepares the inputs and reads the output.
 
-    Args:
-        model: a folder, or a name on the hub.
-        role: "detector".
-        revision: branch, tag or commit.
-        device: "auto" or a torch device.
-        dtype: "float32", "bfloat16", "float16" or "auto"; the models are small, and their attention is sensitive.
+    Args beyond those of `LocalExpert`:
+        dtype: float32 unless set; the models are small, and their attention is sensitive.
         threshold: the least score of a box; OWLv2 0.2, Grounding DINO 0.3 unless set.
         nms_iou: of two boxes that overlap by more, the better one is kept; 1 keeps both. OWLv2 0.5 (neighbouring
             patches see the same object), Grounding DINO 1 unless set.
         max_boxes: the most boxes of an image.
-        max_batch: the most images at once; halved whenever memory runs out.
-
-    Raises:
-        ModelFilesError: no such checkpoint, or the hub cannot be reached.
-        ConfigError: a setting has a value it does not take.
     """
 
     provider: ClassVar[str]

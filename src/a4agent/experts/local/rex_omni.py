@@ -41,21 +41,10 @@ class RexOmni(LocalExpert):
 
     The defaults are its authors' settings (greedy, repetition penalty 1.05).
 
-    Args:
-        model: a folder, or a name on the hub.
-        role: "detector".
-        revision: branch, tag or commit.
-        device: "auto", a torch device, or "spread" over all GPUs and the CPU.
-        dtype: "auto" (bfloat16 on an accelerator, float32 on a CPU), "bfloat16", "float16", "float32".
-        attention: "auto" (sdpa), "sdpa", "eager", "flash_attention_2".
-        quantisation: "none", "8bit" or "4bit" (bitsandbytes).
-        max_batch: the most images at once, each asked twice; halved whenever memory runs out.
+    Args beyond those of `LocalExpert`:
+        max_batch: the most images at once, each asked twice.
         max_new_tokens: the longest answer; a box takes five tokens.
         max_pixels: larger images are scaled down to this area.
-
-    Raises:
-        ModelFilesError: no such checkpoint, or the hub cannot be reached.
-        ConfigError: a setting has a value it does not take.
     """
 
     shrinking = (QUANTISE,)

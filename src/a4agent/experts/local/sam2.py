@@ -36,21 +36,14 @@ _PROMPTS_AT_ONCE = 32  # the decoder holds some 25 MB for each
 class SamSegmenter(LocalExpert):
     """A SAM 2 segmenter: an image encoder, and a decoder for boxes and points.
 
-    Args:
-        model: "tiny", "small", "base-plus", "large", a folder, or a name on the hub.
-        role: "segmenter".
-        revision: branch, tag or commit.
-        device: "auto" or a torch device.
-        dtype: number format of the image encoder: "auto" (bfloat16 on an accelerator, float32 on a CPU),
-            "bfloat16", "float16", "float32". Prompts and masks are always computed in float32.
+    Args beyond those of `LocalExpert`:
+        model: also "tiny", "small", "base-plus" or "large".
+        dtype: of the image encoder. Prompts and masks are always computed in float32.
         candidates: "best" keeps the mask with the highest predicted IoU of each prompt's three, "all" keeps them.
-        max_batch: the most images encoded at once; halved whenever memory runs out.
         cached_images: how many images' embeddings are kept (17 MB each).
 
     Raises:
         UnknownNameError: no such size, and not a name or folder either.
-        ModelFilesError: no such checkpoint, or the hub cannot be reached.
-        ConfigError: a setting has a value it does not take.
     """
 
     provider: ClassVar[str] = "sam2"

@@ -25,23 +25,11 @@ if TYPE_CHECKING:
 class TransformersVlm(LocalExpert):
     """A vision-language model of transformers; an answer is the same alone and in a batch, which is padded on the left.
 
-    Args:
-        model: a folder, or a name on the hub.
-        role: "vlm".
-        revision: branch, tag or commit.
-        device: "auto", a torch device, or "spread" over all GPUs and the CPU.
-        dtype: "auto" (bfloat16 on an accelerator, float32 on a CPU), "bfloat16", "float16", "float32".
-        attention: "auto" (sdpa where the model has it), "sdpa", "eager", "flash_attention_2".
-        quantisation: "none", "8bit" or "4bit" (bitsandbytes).
-        max_batch: the most requests at once; halved whenever memory runs out.
+    Args beyond those of `LocalExpert`:
         max_pixels: larger images are scaled down to this area first; the processor's own limits apply after.
         temperature: 0 is greedy.
         template: further arguments of the chat template, such as {enable_thinking = false}, which Qwen3.5 and
             later need to answer without thinking first.
-
-    Raises:
-        ModelFilesError: no such checkpoint, or the hub cannot be reached.
-        ConfigError: a setting has a value it does not take.
     """
 
     shrinking = (QUANTISE,)

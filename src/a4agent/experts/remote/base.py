@@ -18,17 +18,21 @@ AnswerT = TypeVar("AnswerT")
 
 
 class RemoteExpert(ExpertBase):
-    """An expert over a `Connection`. Calls overlap (`concurrency`); a call carries one request.
+    """An expert over a `Connection`. Calls overlap; a call carries one request. Settings that subclasses share:
 
-    Args:
-        id: "provider:model".
-        connection: the model on its server.
-        settings: all that changes an answer.
+        base_url: the server's address with "/v1"; "" is the usual place of `server`, or OpenAI.
+        server: a name from servers.toml (openai, vllm, sglang, ollama, llama.cpp, transformers, other).
+        api_key_variable: the environment variable with the key, if not the server's usual one.
+        timeout: seconds without a byte until a call counts as failed.
+        max_retries: repeats inside one call (408, 409, 429, 5xx, broken connections), honouring Retry-After. In a run
+            the engine repeats calls instead.
         concurrency: calls that may be in flight at once.
-        price: US dollars per million tokens, if the list price does not hold.
+        price: US dollars per million tokens, as {"input": 2.5, "output": 10.0}; overrides the table.
+        extra: fields added to every request as they are, such as {"top_k": 1}.
+        image_format, max_side, quality: how pictures are sent; see `PictureEncoder`.
 
-    Raises:
-        ConfigError: a concurrency below 1, or an invalid price.
+    Making one raises ConfigError (a setting that does not fit), CredentialError (the server needs a key and its
+    variable is not set) and MissingExtraError (the openai package is not installed).
     """
 
     def __init__(

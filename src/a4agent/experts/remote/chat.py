@@ -37,33 +37,14 @@ def last_day(model: str, settings: Mapping[str, Any]) -> str:
 
 
 class OpenAIVLM(RemoteExpert):
-    """A VLM over HTTP.
+    """A VLM over HTTP, by the name that the server knows it by.
 
-    Args:
-        model: the name the server knows it by.
-        role: "vlm".
-        base_url: the server's address with "/v1"; "" is the usual place of `server`, or OpenAI.
-        server: a name from servers.toml (openai, vllm, sglang, ollama, llama.cpp, transformers, other).
-        api_key_variable: the environment variable with the key, if not the server's usual one.
+    Args beyond those of `RemoteExpert`:
         structured: "auto" (the server's ladder) or one fixed rung: "json_schema", "json_object", "text".
         temperature: None leaves it to the server; it is also left out once the model has refused it.
         seed: sent if given.
         detail: OpenAI's "low" or "high" for images; "" leaves it to the server.
-        image_format: "jpeg" or "png".
-        max_side: longer images are shrunk to it before they are sent, in pixels; 0 never.
-        quality: of JPEG.
         text_first: send the text before the images; servers then reuse less of what they read before.
-        timeout: seconds without a byte until a call counts as failed.
-        max_retries: repeats inside one call (408, 409, 429, 5xx, broken connections), honouring Retry-After. In a run
-            the engine repeats calls instead.
-        concurrency: calls that may be in flight at once.
-        price: US dollars per million tokens, as {"input": 2.5, "output": 10.0}; overrides the table.
-        extra: fields added to every request as they are, such as {"top_k": 1}.
-
-    Raises:
-        ConfigError: a setting that does not fit.
-        CredentialError: the server needs a key and its variable is not set.
-        MissingExtraError: the openai package is not installed.
     """
 
     def __init__(

@@ -108,14 +108,9 @@ def _host_and_port(base_url: str) -> tuple[str, int | None]:
 class Connection:
     """One model on one server. Safe for several threads at once; connects on the first call.
 
-    Args:
-        model: the name the server knows it by.
-        base_url: such as "http://127.0.0.1:8000/v1"; "" is the server's usual place.
-        server: a name from servers.toml; "" recognises it by `base_url`.
-        api_key_variable: the environment variable with the key; "" is the server's usual one. A vendor's key
-            goes to no other address, unless it is named here or the vendor as `server`.
-        timeout: seconds to wait for the server to connect or to send the next byte.
-        max_retries: how often the SDK repeats a call that failed for a reason that may pass.
+    Args as in `RemoteExpert`, and:
+        server: "" recognises it by `base_url`.
+        api_key_variable: a vendor's key goes to no other address, unless it is named here or the vendor as `server`.
 
     Raises:
         CredentialError: the server needs a key and the variable is not set.

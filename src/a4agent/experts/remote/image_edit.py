@@ -27,27 +27,13 @@ if TYPE_CHECKING:
 
 
 class OpenAIEditor(RemoteExpert):
-    """An image editor over HTTP.
+    """An image editor over HTTP, by the name that the server knows it by.
 
-    Args:
-        model: the name the server knows it by.
-        role: "editor".
-        base_url: the server's address with "/v1"; "" is the usual place of `server`, or OpenAI.
-        server: a name from servers.toml; says whether a seed may be sent.
-        api_key_variable: the environment variable with the key, if not the server's usual one.
+    Args beyond those of `RemoteExpert`:
+        server: also says whether a seed may be sent.
         size: such as "1024x1024" or "auto"; "" leaves it to the server.
         quality: such as "low" or "high"; "" leaves it to the server.
-        extra: fields of that server, such as {"num_inference_steps": 4, "true_cfg_scale": 1.0}.
-        max_side: longer photos are shrunk to it before they are sent, in pixels; 0 never.
-        timeout: seconds without a byte until a call counts as failed.
-        max_retries: repeats inside one call, honouring Retry-After.
-        concurrency: calls that may be in flight at once.
-        price: US dollars per million tokens, as {"input": 5.0, "image_input": 8.0, "output": 30.0}.
-
-    Raises:
-        ConfigError: a setting that does not fit.
-        CredentialError: the server needs a key and its variable is not set.
-        MissingExtraError: the openai package is not installed.
+        price: also "image_input".
     """
 
     def __init__(

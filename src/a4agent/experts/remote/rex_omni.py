@@ -54,26 +54,12 @@ _COMMA_ID = 11  # "," in the vocabulary of Qwen2.5
 
 
 class RexOmniServer(RemoteExpert):
-    """Rex-Omni over HTTP.
+    """Rex-Omni over HTTP, by the server's address with "/v1".
 
-    Args:
-        model: the server's address with "/v1".
-        role: "detector".
+    Args beyond those of `RemoteExpert`:
         served_model: the name the server knows the model by.
-        server: a name from servers.toml.
-        api_key_variable: the environment variable with the key, if the server wants one.
         points: also ask for key points; False halves the calls.
-        image_format: "jpeg" or "png".
-        max_side: longer images are shrunk to it before they are sent, in pixels; 0 never.
-        quality: of JPEG.
         max_tokens: the longest answer.
-        timeout: seconds without a byte until a call counts as failed.
-        max_retries: repeats inside one call, honouring Retry-After.
-        concurrency: calls that may be in flight at once.
-
-    Raises:
-        ConfigError: the address or another setting does not fit.
-        MissingExtraError: the openai package is not installed.
     """
 
     def __init__(
