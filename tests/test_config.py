@@ -126,6 +126,13 @@ def test_a_misspelt_variable_is_an_error_that_suggests_the_right_one(profile: Pa
         ({"dreamer": "on"}, "table of settings or 'off'"),
         ({"profile": "paper"}, "--profile"),
         ({"name": "x"}, "unknown setting 'name'"),
+        ({"ray.dreamers.replicas": 2}, "ray.dreamers.*did you mean 'dreamer'"),
+        ({"ray.dreamer.gpus": 2}, "ray.dreamer.gpus.*did you mean 'num_gpus'"),
+        ({"ray.dreamer.replicas": 0}, "ray.dreamer.replicas.*not 0"),
+        ({"ray.dreamer.replicas": 1.5}, r"ray.dreamer.replicas.*not 1\.5"),
+        ({"ray.dreamer.batch": 0}, "ray.dreamer.batch.*not 0"),
+        ({"ray.dreamer.num_cpus": -1}, "ray.dreamer.num_cpus.*not -1"),
+        ({"ray.dreamer.num_gpus": -0.5}, r"ray.dreamer.num_gpus.*not -0\.5"),
     ],
 )
 def test_settings_that_do_not_fit_are_explained(profile: Path, overrides: dict[str, object], words: str) -> None:

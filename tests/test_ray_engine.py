@@ -24,7 +24,7 @@ from PIL import Image
 from a4agent import engine
 from a4agent import ray_engine as engine_ray
 from a4agent.agent import A4Agent
-from a4agent.config import STAGES, Settings, load_settings
+from a4agent.config import STAGES, RaySettings, Settings, load_settings
 from a4agent.engine import Stats
 from a4agent.errors import BudgetExceeded, ConfigError, CredentialError, UnknownNameError
 from a4agent.experts import registry
@@ -351,9 +351,7 @@ def test_a_refused_key_stops_the_run_with_its_reason(settings: Settings, queries
 
 @pytest.mark.usefixtures("_in_process")
 def test_an_expert_shows_one_role_and_as_many_calls_as_its_actors_take(settings: Settings) -> None:
-    with engine_ray.agent_on_ray(
-        settings.model_copy(update={"ray": {"dreamer": {"replicas": 3, "batch": 2}}})
-    ) as agent:
+    with engine_ray.agent_on_ray(with_pools(settings, dreamer={"replicas": 3, "batch": 2})) as agent:
         assert agent.dreamer is not None
         editor = agent.dreamer.editor
         assert [role for role, verb in VERBS.items() if hasattr(editor, verb)] == ["editor"]
@@ -384,41 +382,21 @@ def test_an_expert_that_cannot_be_built_stops_the_run_with_its_reason(settings: 
         list(engine_ray.run(Settings.model_validate(table), queries))
 
 
-def test_pools_come_from_the_settings(settings: Settings) -> None:
-    def changed(**tables: dict[str, float]) -> Settings:
-        return settings.model_copy(update={"ray": tables})
-
-    assert engine_ray.pool_of(changed(), "thinker") == {"replicas": 1, "num_cpus": 0.5, "num_gpus": 0, "batch": 16}
-    assert engine_ray.pool_of(changed(dreamer={"replicas": 12, "num_gpus": 1}), "dreamer") == {
-        "replicas": 12,
-        "num_cpus": 0.5,
-        "num_gpus": 1,
-        "batch": 16,
-    }
-    with pytest.raises(UnknownNameError, match="did you mean 'dreamer'"):
-        engine_ray.pool_of(changed(dreamers={"replicas": 2}), "dreamer")
-    with pytest.raises(UnknownNameError, match="did you mean 'num_gpus'"):
-        engine_ray.pool_of(changed(dreamer={"gpus": 2}), "dreamer")
-    for key, value in (("replicas", 0), ("replicas", 1.5), ("batch", 0), ("num_cpus", -1), ("num_gpus", -0.5)):
-        with pytest.raises(ConfigError, match=f"ray.dreamer.{key}.*not {value}"):
-            engine_ray.pool_of(changed(dreamer={key: value}), "dreamer")
+def with_pools(settings: Settings, **pools: dict[str, float]) -> Settings:
+    return settings.model_copy(update={"ray": RaySettings.model_validate(pools)})
 
 
 @pytest.mark.usefixtures("_cluster")
 def test_a_cluster_that_is_too_small_is_told_at_once(settings: Settings, queries: list[Query]) -> None:
     """Ray itself would wait for a node to come."""
-    greedy = settings.model_copy(update={"ray": {"spotter": {"num_gpus": 1, "num_cpus": 0.25}}})
+    greedy = with_pools(settings, spotter={"num_gpus": 1, "num_cpus": 0.25})
     with pytest.raises(ConfigError, match=r"takes 1 GPUs, and Ray has 0; .*ray.spotter.num_gpus"):
         list(engine_ray.run(greedy, queries))
 
 
 def test_the_example_of_a_cluster_fits() -> None:
     example = load_settings(Path(__file__).parents[1] / "examples" / "cluster.toml", environ={})
-    assert {stage: engine_ray.pool_of(example, stage)["replicas"] for stage in STAGES[:3]} == {
-        "dreamer": 24,
-        "thinker": 2,
-        "spotter": 4,
-    }
+    assert [getattr(example.ray, stage).replicas for stage in STAGES[:3]] == [24, 2, 4]
     assert example.engine.cache_dir is not None
 
 

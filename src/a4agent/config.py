@@ -15,7 +15,7 @@ import copy
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, cast, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_serializer, model_validator
 
@@ -132,6 +132,24 @@ class EngineSettings(SettingsTable):
     max_sample_seconds: float | None = Field(default=None, gt=0)
 
 
+class RayPool(SettingsTable):
+    """The Ray actors of one stage: how many, what each gets, and how many calls it takes at once."""
+
+    replicas: int = Field(default=1, ge=1)
+    num_cpus: float = Field(default=0.5, ge=0)
+    num_gpus: float = Field(default=0.0, ge=0)
+    batch: int = Field(default=16, ge=1)
+
+
+class RaySettings(SettingsTable):
+    """The pool of each stage; see `a4agent.ray_engine`."""
+
+    dreamer: RayPool = RayPool()
+    thinker: RayPool = RayPool()
+    spotter: RayPool = RayPool()
+    verifier: RayPool = RayPool()
+
+
 class ProfileInfo(SettingsTable):
     """A profile's description for people."""
 
@@ -153,7 +171,7 @@ class Settings(SettingsTable):
     verifier: VerifierSettings | None = None
     image: ImageSettings = ImageSettings()
     engine: EngineSettings = EngineSettings()
-    ray: dict[str, dict[str, float]] = {}
+    ray: RaySettings = RaySettings()
 
     def expert_specs(self) -> dict[str, ExpertSettings]:
         """The experts by the dotted name of their role ("spotter.detector"), in the order of the stages."""
@@ -265,9 +283,14 @@ def _variable_names() -> set[str]:
 
 
 def _expert_variables() -> list[str]:
-    roles = ("DREAMER__VLM", "DREAMER__EDITOR", "THINKER__VLM", "SPOTTER__DETECTOR", "SPOTTER__SEGMENTER")
-    seconds = ("VERIFIER__VLM", "VERIFIER__DETECTOR", "VERIFIER__SEGMENTER")
-    return [f"{PREFIX}{role}" for role in roles + seconds]
+    """The variables of experts, whose own settings may follow: A4_SPOTTER__DETECTOR__MARGIN."""
+    return [
+        f"{PREFIX}{stage.upper()}__{role.upper()}"
+        for stage in STAGES
+        if (table := _table_of(Settings.model_fields[stage].annotation))
+        for role, field in table.model_fields.items()
+        if ExpertSettings in (field.annotation, *get_args(field.annotation))
+    ]
 
 
 def _table_of(annotation: Any) -> type[BaseModel] | None:

@@ -26,14 +26,13 @@ import numpy as np
 
 from a4agent import engine
 from a4agent.agent import A4Agent
-from a4agent.config import STAGES, Settings
+from a4agent.config import STAGES, RayPool, Settings
 from a4agent.engine import Stats
-from a4agent.errors import A4Error, ConfigError, ProviderError, ProviderUnavailable, UnknownNameError, nearest, require
+from a4agent.errors import A4Error, ConfigError, ProviderError, ProviderUnavailable, require
 from a4agent.experts import registry
 from a4agent.protocols import VERBS, Charges, Request, Role, ask
 from a4agent.types import Affordance, Given, Query
 
-DEFAULTS = {"replicas": 1.0, "num_cpus": 0.5, "num_gpus": 0.0, "batch": 16.0}
 POLL = 0.5
 """Seconds between two looks at whether further actors have started."""
 
@@ -50,7 +49,7 @@ def run(
 
     Raises:
         MissingExtraError: ray is not installed.
-        ConfigError: a table [ray.STAGE] is invalid, or the cluster is unreachable or too small.
+        ConfigError: the cluster is unreachable or too small.
         UserError, ProviderError, BudgetExceeded: as `engine.run`.
     """
     remaining = iter(queries)
@@ -68,12 +67,14 @@ def agent_on_ray(settings: Settings) -> Generator[A4Agent]:
 
     Raises:
         MissingExtraError: ray is not installed.
-        ConfigError: a table [ray.STAGE] is invalid, or the cluster is unreachable or too small.
+        ConfigError: the cluster is unreachable or too small.
         UserError: an expert cannot be built on its node.
     """
     ray: Any = require("ray", extra="ray")
     specs = settings.expert_specs()
-    pools = {stage: pool_of(settings, stage) for stage in STAGES if any(name.startswith(f"{stage}.") for name in specs)}
+    pools: dict[str, RayPool] = {
+        stage: getattr(settings.ray, stage) for stage in STAGES if any(name.startswith(f"{stage}.") for name in specs)
+    }
     with _connected(ray):
         send_pictures_as_arrays()
         _check_size(ray.cluster_resources(), pools)
@@ -81,35 +82,12 @@ def agent_on_ray(settings: Settings) -> Generator[A4Agent]:
         try:
             experts: dict[str, Any] = {}
             for stage, pool in pools.items():
-                experts |= _remote_experts(ray, actors[stage], int(pool["batch"]))
+                experts |= _remote_experts(ray, actors[stage], pool.batch)
             yield A4Agent.from_settings(settings, experts)
         finally:
             for actor in itertools.chain.from_iterable(actors.values()):
                 with suppress(Exception):  # Ray may be gone already
                     ray.kill(actor)
-
-
-def pool_of(settings: Settings, stage: str) -> dict[str, float]:
-    """What the pool of a stage gets: the table [ray.STAGE] over the defaults.
-
-    Raises:
-        UnknownNameError: unknown stage, or a key other than replicas, num_cpus, num_gpus and batch.
-        ConfigError: a value out of range.
-    """
-    for name in settings.ray:
-        if name not in STAGES:
-            raise UnknownNameError(_unknown(f"ray.{name}", name, STAGES))
-    table = settings.ray.get(stage, {})
-    for key in table:
-        if key not in DEFAULTS:
-            raise UnknownNameError(_unknown(f"ray.{stage}.{key}", key, DEFAULTS))
-    pool = {**DEFAULTS, **table}
-    for key, value in pool.items():
-        least, whole = (1, True) if key in ("replicas", "batch") else (0, False)
-        if value < least or (whole and value % 1):
-            number = "a whole number" if whole else "a number"
-            raise ConfigError(f"the setting 'ray.{stage}.{key}' must be {number} of at least {least}, not {value:g}")
-    return pool
 
 
 class ActorExpert:
@@ -242,15 +220,15 @@ class StageActor:
             return ProviderError(f"{self._experts[name].id} failed: {error!r}")
 
 
-def _start_actors(ray: Any, settings: Settings, stage: str, pool: Mapping[str, float]) -> list[Any]:
+def _start_actors(ray: Any, settings: Settings, stage: str, pool: RayPool) -> list[Any]:
     roles = sum(name.startswith(f"{stage}.") for name in settings.expert_specs())
     actor = ray.remote(
-        num_cpus=pool["num_cpus"],
-        num_gpus=pool["num_gpus"],
+        num_cpus=pool.num_cpus,
+        num_gpus=pool.num_gpus,
         max_restarts=-1,
-        max_concurrency=int(pool["batch"]) * roles,
+        max_concurrency=pool.batch * roles,
     )(StageActor)
-    return [actor.remote(settings, stage) for _ in range(int(pool["replicas"]))]
+    return [actor.remote(settings, stage) for _ in range(pool.replicas)]
 
 
 def _remote_experts(ray: Any, handles: list[Any], batch: int) -> dict[str, ActorExpert]:
@@ -293,18 +271,13 @@ def _connected(ray: Any) -> Generator[None]:
             ray.shutdown()
 
 
-def _check_size(found: Mapping[str, float], pools: Mapping[str, Mapping[str, float]]) -> None:
+def _check_size(found: Mapping[str, float], pools: Mapping[str, RayPool]) -> None:
     """Raise ConfigError if there is no room for an actor of each stage, since Ray would wait for a node forever."""
     for resource, key in (("CPU", "num_cpus"), ("GPU", "num_gpus")):
-        needed, there = sum(pool[key] for pool in pools.values()), found.get(resource, 0.0)
+        needed, there = sum(getattr(pool, key) for pool in pools.values()), found.get(resource, 0.0)
         if needed > there:
             settings = ", ".join(f"ray.{stage}.{key}" for stage in pools)
             raise ConfigError(
                 f"an actor for each of {', '.join(pools)} takes {needed:g} {resource}s, and Ray has {there:g};"
                 f" add nodes, or lower {settings}"
             )
-
-
-def _unknown(setting: str, name: str, known: Iterable[str]) -> str:
-    near = nearest(name, known)
-    return f"unknown setting {setting!r}; " + (f"did you mean {near!r}?" if near else f"known: {', '.join(known)}.")
