@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from a4agent import A4Agent
-from a4agent.errors import ModelFilesError
 from a4agent.files import read_toml
 from a4agent.imaging.load import load_image
 from a4agent.offline import recogniser
@@ -119,16 +117,6 @@ def test_a_tiny_mask_is_looked_at_with_its_surroundings() -> None:
     assert around(np.array([0, 0, 100, 50], np.float32), 2.0).tolist() == [-50, -75, 150, 125]
 
 
-def test_another_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    recogniser._session.cache_clear()
-    (tmp_path / "other.onnx").write_bytes(b"other")
-    for path in (tmp_path / "other.onnx", tmp_path / "missing.onnx"):
-        monkeypatch.setattr(recogniser, "WEIGHTS", path)
-        with pytest.raises(ModelFilesError, match="reinstall"):
-            recognise(Image.new("RGB", (64, 64)), np.array([[0, 0, 64, 64]], np.float32))
-    recogniser._session.cache_clear()
-
-
 def test_the_profile_accepts_what_is_there_and_abstains_from_what_is_not() -> None:
     with A4Agent.from_profile("offline") as agent:
         there = agent.predict(COFFEE, "fill the cup")
@@ -138,8 +126,3 @@ def test_the_profile_accepts_what_is_there_and_abstains_from_what_is_not() -> No
     assert [answer.status for answer in absent] == ["abstained"] * 2
     assert all(answer.mask.any() and answer.confidence is not None and answer.confidence < 0.3 for answer in absent)
     assert (cautious.status, cautious.confidence) == ("abstained", there.confidence)
-
-
-def test_weights_are_widened_once_and_not_in_every_run() -> None:
-    options = recogniser._session().get_session_options()
-    assert options.get_session_config_entry("session.disable_quant_qdq") == "1"

@@ -16,10 +16,9 @@ from __future__ import annotations
 import hashlib
 from collections import OrderedDict
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from a4agent.errors import require
 from a4agent.imaging.masks import box_area, box_iou, box_overlap, tight_box
 from a4agent.offline import proposals
 from a4agent.offline.colour import name_of, well_lit
+from a4agent.offline.networks import session
 from a4agent.offline.saliency import saliency
 from a4agent.offline.seen_object import SHOWN, SIDE, SeenObject, box_in_picture, main_piece
 from a4agent.offline.vocabulary import IN_HAND, KINDS, NOTHING
@@ -226,23 +226,13 @@ VIEWS = (
 
 
 def _run(crops: np.ndarray, threads: int) -> tuple[np.ndarray, np.ndarray]:
-    parts, kinds = _session(threads).run(["parts", "kinds"], {"crops": crops})
+    parts, kinds = session(WEIGHTS, threads).run(["parts", "kinds"], {"crops": crops})
     return _softmax(parts), _softmax(kinds)
 
 
 def _softmax(logits: np.ndarray) -> np.ndarray:
     powers = np.exp(logits - logits.max(1, keepdims=True))
     return powers / powers.sum(1, keepdims=True)
-
-
-@lru_cache(maxsize=4)
-def _session(threads: int) -> Any:
-    onnxruntime = require("onnxruntime", extra="offline")
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.log_severity_level = 3
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    return onnxruntime.InferenceSession(WEIGHTS.read_bytes(), options, providers=["CPUExecutionProvider"])
 
 
 def _boxes(

@@ -9,17 +9,16 @@ only in how far it is trusted. `perf/recogniser.py` makes its file.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from a4agent.errors import ModelFilesError, require
 from a4agent.files import read_toml
 from a4agent.imaging.masks import tight_box
+from a4agent.offline.networks import session
 from a4agent.offline.phrases import wanted
 from a4agent.types import Check
 
@@ -76,7 +75,7 @@ def recognise(image: Image, boxes_xyxy: np.ndarray) -> np.ndarray:
         ModelFilesError: the network's file is missing or not the one that was tested.
     """
     pixels = (np.stack([np.asarray(_cut(image, box), np.float32) for box in boxes_xyxy]) - 127) / 128
-    logits: np.ndarray = _session().run(["logits"], {"crops": pixels.transpose(0, 3, 1, 2)})[0]
+    logits: np.ndarray = session(WEIGHTS, 1, SHA256).run(["logits"], {"crops": pixels.transpose(0, 3, 1, 2)})[0]
     powers = np.exp(logits - logits.max(1, keepdims=True))
     return powers / powers.sum(1, keepdims=True)
 
@@ -119,23 +118,6 @@ def bare(name: str) -> str:
 def labels() -> list[str]:
     """The names of the 1,000 classes, in the order of the network."""
     return (HERE / "recogniser.txt").read_text(encoding="utf-8").splitlines()
-
-
-@lru_cache(maxsize=1)
-def _session() -> Any:
-    onnxruntime = require("onnxruntime", extra="offline")
-    try:
-        weights = WEIGHTS.read_bytes()
-    except OSError as error:
-        raise ModelFilesError(f"cannot read {str(WEIGHTS)!r}: {error}; reinstall 'a4agent[offline]'") from error
-    if hashlib.sha256(weights).hexdigest() != SHA256:
-        raise ModelFilesError(f"{str(WEIGHTS)!r} is not the tested file; reinstall 'a4agent[offline]'")
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.log_severity_level = 3
-    # The 8-bit weights are widened once, when the file is loaded: else each run widens them again.
-    options.add_session_config_entry("session.disable_quant_qdq", "1")
-    return onnxruntime.InferenceSession(weights, options, providers=["CPUExecutionProvider"])
 
 
 def _ends_alike(label: str, name: str) -> bool:

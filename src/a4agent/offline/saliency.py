@@ -8,49 +8,18 @@ with its licence beside it, and is checked against its hash.
 
 from __future__ import annotations
 
-import hashlib
-from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from a4agent.errors import ModelFilesError, require
+from a4agent.errors import require
+from a4agent.offline.networks import session
 
 WEIGHTS = Path(__file__).with_name("u2netp.onnx")
-REINSTALL = "pip install --force-reinstall --no-deps 'a4agent[offline]' brings the file that was tested"
 SHA256 = "309c8469258dda742793dce0ebea8e6dd393174f89934733ecc8b14c76f4ddd8"
 SIDE = 320
 MEAN = np.array([0.485, 0.456, 0.406], np.float32)
 DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)
-
-
-def read_weights(path: Path = WEIGHTS) -> bytes:
-    """The bytes of the network, checked.
-
-    Raises:
-        ModelFilesError: they are missing, or not the ones that were tested.
-    """
-    try:
-        weights = path.read_bytes()
-    except OSError as error:
-        raise ModelFilesError(f"{str(path)!r} cannot be read ({error}): {REINSTALL}") from error
-    found = hashlib.sha256(weights).hexdigest()
-    if found != SHA256:
-        raise ModelFilesError(f"{str(path)!r} has sha256 {found}, not {SHA256}: {REINSTALL}")
-    return weights
-
-
-@lru_cache(maxsize=4)
-def _session(threads: int) -> Any:
-    onnxruntime = require("onnxruntime", extra="offline")
-    weights = read_weights()
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.log_severity_level = 3
-    # Spinning threads gain little and starve everything else on a busy machine.
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    return onnxruntime.InferenceSession(weights, options, providers=["CPUExecutionProvider"])
 
 
 def saliency(rgb: np.ndarray, threads: int = 0) -> np.ndarray:
@@ -70,7 +39,7 @@ def saliency(rgb: np.ndarray, threads: int = 0) -> np.ndarray:
     small = cv2.resize(rgb, (SIDE, SIDE), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
     planes = small.astype(np.float32) / max(int(small.max()), 1)
     planes = ((planes - MEAN) / DEVIATION).transpose(2, 0, 1)[None]
-    session = _session(threads)
-    first_output = session.get_outputs()[0].name
-    answer = session.run([first_output], {session.get_inputs()[0].name: planes})[0][0, 0]
+    network = session(WEIGHTS, threads, SHA256)
+    first_output = network.get_outputs()[0].name
+    answer = network.run([first_output], {network.get_inputs()[0].name: planes})[0][0, 0]
     return np.clip(cv2.resize(answer, (width, height)), 0.0, 1.0)
