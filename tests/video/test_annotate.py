@@ -10,7 +10,7 @@ from PIL import Image
 
 from a4agent.config import EngineSettings
 from a4agent.errors import DataError, InputError
-from a4agent.interop.coco import to_coco
+from a4agent.interop.detections import to_coco
 from a4agent.testing import scripted_agent
 from a4agent.types import Affordance
 from a4agent.video.annotate import annotate, export

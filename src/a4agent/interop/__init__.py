@@ -1,1 +1,1 @@
-"""Adapters to what people already use. Each is a leaf: nothing else imports it, and it needs only its own library."""
+"""Adapters to other programs; each needs only its own library."""

@@ -21,7 +21,7 @@ from a4agent.agent import A4Agent
 from a4agent.errors import A4Error, DataError, InputError, require
 from a4agent.files import replace_file
 from a4agent.imaging.save import make_folder
-from a4agent.interop.coco import to_coco
+from a4agent.interop.detections import to_coco
 from a4agent.types import Affordance, Query
 from a4agent.video.frames import Frames
 
