@@ -2,7 +2,7 @@
 
 Licence: yours. Where to get it: draw masks with any tool that writes PNG or COCO; there is no official scorer.
 
-`samples.jsonl` has one row a question, with paths relative to its folder:
+`samples.jsonl` has one row per question, with paths relative to its folder:
 
     {"id": "mug_02_grasp", "image": "mug_02.jpg", "mask": "mug_02_grasp_mask.png", "instruction": "pick up the mug",
      "object_name": "mug", "object_part": "the handle of the mug", "affordance": "grasp", "category": "mug"}
@@ -83,7 +83,7 @@ def _index(path: Path) -> Path:
         return found[0]
     raise DataError(
         f"{str(root)!r} holds neither {INDEX!r} nor exactly one COCO .json file (it has {len(found)}); "
-        'write one row a line: {"id": ..., "image": ..., "mask": ..., "instruction": ...}'
+        'write one row per line: {"id": ..., "image": ..., "mask": ..., "instruction": ...}'
     )
 
 

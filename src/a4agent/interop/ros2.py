@@ -33,7 +33,7 @@ def header(frame_id: str, stamp: Stamp = 0.0) -> Message:
 
 
 def detection_2d_array(affordance: Affordance, *, frame_id: str = "camera", stamp: Stamp = 0.0) -> Message:
-    """vision_msgs/Detection2DArray: one detection a region that has a box or a mask, in pixels, best first.
+    """vision_msgs/Detection2DArray: one detection for each region that has a box or a mask, in pixels, best first.
 
     The class is the part's name; a region without a score has the score 0.
     """

@@ -2,7 +2,7 @@
 
     out/
       set.json                what it is made with: seed, split, things, renderer, versions; written first
-      samples.jsonl           one row a sample, paths beside it
+      samples.jsonl           one row per sample, paths beside it
       images/0003-mug.jpg     the picture
       masks/0003-mug.png      the answer: 255 where an asked part is seen
       regions/0003-mug.png    0, or 1, 2, ...: which of the asked parts a pixel belongs to
