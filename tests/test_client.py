@@ -136,7 +136,7 @@ def test_large_masks_with_long_runs_too() -> None:
     assert (client.Mask(*packed["size"], packed["counts"]).to_numpy() == mask).all()
 
 
-def test_an_array_goes_as_it_is(url: str) -> None:
+def test_an_array_is_sent_unchanged(url: str) -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (30, 50, 3), np.uint8)
     png = client.encode_png(50, 30, pixels.tobytes())
     assert (np.asarray(Image.open(io.BytesIO(png))) == pixels).all()
@@ -259,7 +259,7 @@ def test_a_stream_that_breaks_is_an_error_not_an_end(cut: str, photo: bytes) -> 
             next(stream)
 
 
-def test_no_answer_in_time_is_said_once(photo: bytes) -> None:
+def test_a_timeout_is_not_retried(photo: bytes) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         started = time.monotonic()
         with pytest.raises(ServerError, match="no answer within"):
@@ -267,7 +267,7 @@ def test_no_answer_in_time_is_said_once(photo: bytes) -> None:
         assert time.monotonic() - started < 2
 
 
-def test_a_url_that_is_none_is_refused() -> None:
+def test_an_invalid_url_is_refused() -> None:
     with pytest.raises(ValueError, match="http://127"):
         Client("robot.local:8000")
     with pytest.raises(ValueError, match="Port"):

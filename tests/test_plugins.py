@@ -49,7 +49,7 @@ def test_two_packages_of_one_name_are_a_warning_and_the_first_counts(monkeypatch
         assert things.names() == ["good"]
 
 
-def test_an_error_of_ours_comes_through_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_our_own_errors_pass_through(monkeypatch: pytest.MonkeyPatch) -> None:
     things = installed(monkeypatch, ("lacking", "a4agent.no_such:x"))
 
     def lacking(self: EntryPoint) -> Any:

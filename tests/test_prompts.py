@@ -21,7 +21,7 @@ def test_the_papers_templates_are_shipped_to_the_letter(name: str) -> None:
     assert hashlib.sha256(prompts.load("paper", name).encode()).hexdigest() == SHA256[name]
 
 
-def test_the_one_image_variant_differs_in_what_is_said_of_the_second_image() -> None:
+def test_the_one_image_template_differs_only_about_the_second_image() -> None:
     two, one = (prompts.load("paper", name).splitlines() for name in ("thinker", "thinker_one_image"))
     changed = [line for line in difflib.ndiff(two, one) if line[0] in "+-"]
     removed = [line for line in changed if line[0] == "-"]

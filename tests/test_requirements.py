@@ -59,7 +59,7 @@ def test_a_folder_is_taken_as_it_is(tmp_path):
     assert requirements.check(specs) == []
 
 
-def test_a_folder_that_is_not_there_is_said_at_once(tmp_path):
+def test_a_missing_folder_is_reported_at_once(tmp_path):
     with pytest.raises(ModelFilesError, match="no folder"):
         names(vlm=f"transformers:{tmp_path / 'gone'}")
 
@@ -136,13 +136,13 @@ def test_a_revision_and_a_file_are_part_of_how_a_model_is_called():
     assert requirements.needs(specs)[0].reference == "owner/vlm@v2"
 
 
-def test_the_terms_are_said_in_one_line():
+def test_the_terms_are_one_line():
     assert requirements.need("facebook/sam3").terms.startswith("about 3.4 GB, SAM License, gated")
     assert "non-commercial" in requirements.need("IDEA-Research/Rex-Omni").terms
     assert requirements.need("owner/unknown").terms == "licence unknown here: see the model's page"
 
 
-def test_a_stranger_can_say_what_it_needs(monkeypatch):
+def test_an_external_expert_can_declare_its_checkpoints(monkeypatch):
     def factory(model, role):
         return None
 
@@ -165,7 +165,7 @@ def test_every_model_of_every_profile_is_in_the_catalogue():
             assert need.info.licence
 
 
-def test_every_licence_is_named_or_said_not_to_be_stated():
+def test_every_licence_is_named_or_marked_as_unstated():
     licences = [model.licence for model in requirements.catalogue().values()]
     licences += [licence for name in profile_names() for licence in load_settings(name).profile.licences]
     assert [licence for licence in licences if "page" in licence or not licence] == []

@@ -58,7 +58,7 @@ def test_a_missing_library_names_its_extra(profile: Path, monkeypatch: pytest.Mo
         (ConfigError("no such mood"), "no such mood", "--set spotter.detector="),
     ],
 )
-def test_what_an_expert_says_when_it_is_made(
+def test_what_an_expert_lacks_when_it_is_built(
     error: Exception, what: str, fix: str, profile: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(registry.plugins.added, "mine", detector_that(error))

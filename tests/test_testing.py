@@ -27,7 +27,7 @@ def test_answers_come_in_order_and_an_error_takes_one_place_of_the_batch() -> No
     assert (first.text, third.text, vlm.batches) == ("a", "c", [3])
 
 
-def test_a_dry_queue_says_so() -> None:
+def test_an_exhausted_script_raises() -> None:
     with pytest.raises(AssertionError, match="more often than it has answers"):
         ScriptedVLM([]).chat([ASKED])
 

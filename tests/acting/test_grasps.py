@@ -74,7 +74,7 @@ def test_without_depth_there_is_nothing() -> None:
     assert find_grasps(np.zeros(SHAPE, bool), np.full(SHAPE, 0.5), CAMERA) == ()
 
 
-def test_poses_of_others_are_kept_where_they_close_on_the_part() -> None:
+def test_external_poses_are_kept_where_they_close_on_the_part() -> None:
     mask = bar(0.0)
     region = Region(None, np.zeros((0, 2), np.float32), mask)
     affordance = Affordance("x", (SHAPE[1], SHAPE[0]), regions=(region,))

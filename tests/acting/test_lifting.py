@@ -148,7 +148,7 @@ def test_depth_of_another_size_is_refused() -> None:
         lift(affordance(bar()), np.ones((60, 80)), CAMERA)
 
 
-def test_a_camera_matrix_is_taken_as_it_is_and_checked() -> None:
+def test_a_camera_matrix_is_accepted_and_checked() -> None:
     matrix = np.array([[300.0, 0, 79.5], [0, 310.0, 59.5], [0, 0, 1]])
     assert Intrinsics.of(matrix) == CAMERA == Intrinsics.of(matrix.ravel())
     with pytest.raises(InputError, match="3 x 3"):

@@ -55,7 +55,7 @@ def test_a_sample_whose_files_lie_elsewhere_is_refused_and_the_rest_is_read(fold
     assert found.readable == 2
 
 
-def test_empty_truths_and_other_sizes_are_counted_and_are_no_problem(folder_path: Path) -> None:
+def test_empty_truths_and_other_sizes_are_counted_only(folder_path: Path) -> None:
     mask(folder_path / "a/mug.v1_mask.png", (0, 0, 0, 0))
     mask(folder_path / "b/mug.v1_mask.png", (0, 0, 2, 2), (5, 5))
 

@@ -46,7 +46,7 @@ def test_a_link_within_the_dataset_is_followed(tmp_path: Path) -> None:
 
 
 @given(st.text(st.characters(), max_size=30) | st.text(st.characters(categories=["Cs"]), min_size=1, max_size=3))
-def test_whatever_the_name_the_path_is_inside_or_refused(tmp_path_factory: pytest.TempPathFactory, name: str) -> None:
+def test_any_name_is_inside_or_refused(tmp_path_factory: pytest.TempPathFactory, name: str) -> None:
     root = tmp_path_factory.getbasetemp().resolve()
     try:
         path = files.confined(root, name)
@@ -98,7 +98,7 @@ def test_a_mask_cut_short_is_an_error(tmp_path: Path) -> None:
     "polygons",
     [[[0, 0, 4, 0]], [[0, 0, 4, 0, 4]], [["a", 0, 4, 0, 4, 4]], [[0, 0, float("nan"), 0, 4, 4]], 7, [[[0, 0], [1, 1]]]],
 )
-def test_polygons_that_are_none(polygons: object) -> None:
+def test_invalid_polygons_are_refused(polygons: object) -> None:
     with pytest.raises(DataError, match="sample 'x'"):
         files.read_polygons(polygons, (8, 12), "sample 'x'")
 
@@ -134,7 +134,7 @@ def test_no_polygons_are_a_blank_mask() -> None:
 
 
 @pytest.mark.parametrize("content", [b"{", b"\xff\xfe", b"[" * 100_000])
-def test_json_that_is_none(tmp_path: Path, content: bytes) -> None:
+def test_invalid_json_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "x.json").write_bytes(content)
 
     with pytest.raises(DataError, match=r"x\.json"):
@@ -142,7 +142,7 @@ def test_json_that_is_none(tmp_path: Path, content: bytes) -> None:
 
 
 @pytest.mark.parametrize("line", ["{", "[1]", "3", "null", "[" * 100_000])
-def test_a_jsonl_line_that_is_no_object_is_named_by_number(tmp_path: Path, line: str) -> None:
+def test_an_invalid_jsonl_line_is_named_by_number(tmp_path: Path, line: str) -> None:
     (tmp_path / "x.jsonl").write_text(f'{{"a": 1}}\n\n{line}\n')
 
     with pytest.raises(DataError, match="line 3"):

@@ -116,7 +116,7 @@ def test_annotations_of_one_caption_are_one_sample(coco_path: Path) -> None:
         {"images": [{"id": 4}]},
     ],
 )
-def test_a_coco_file_that_is_none(coco_path: Path, change: dict[str, Any]) -> None:
+def test_an_invalid_coco_file_is_refused(coco_path: Path, change: dict[str, Any]) -> None:
     index = coco_path / "annotations.json"
     index.write_text(json.dumps({**json.loads(index.read_text()), **change}))
 

@@ -65,7 +65,7 @@ def test_other_columns_are_an_error(tmp_path: Path) -> None:
         create(tmp_path / "other")
 
 
-def test_a_mask_that_is_no_rectangle(tmp_path: Path) -> None:
+def test_a_ragged_mask_is_refused(tmp_path: Path) -> None:
     row = {"image": [{"bytes": b"x", "path": None}], "problem": ["x"], "mask": [[[True], [True, False]]]}
     datasets.Dataset.from_dict(row).save_to_disk(str(tmp_path / "odd"))
 

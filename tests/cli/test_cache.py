@@ -59,7 +59,7 @@ def test_a_cache_that_is_not_there_is_empty_and_stays_so(
     assert cache.info().entries == 3
 
 
-def test_looking_at_a_folder_that_is_no_cache_changes_nothing(
+def test_inspecting_another_folder_changes_nothing(
     cache: Cache, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     photos = tmp_path / "photos"

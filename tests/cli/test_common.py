@@ -8,7 +8,7 @@ from a4agent.cli import common
 from a4agent.errors import ConfigError, InputError, ModelFilesError, RateLimited
 
 
-def test_flags_become_settings_and_none_is_left_out() -> None:
+def test_flags_become_settings_unless_they_are_none() -> None:
     settings = common.settings("offline", ["thinker.reasks=1"], engine__cache="read", engine__max_cost=None)
     assert settings.thinker is not None
     assert (settings.thinker.reasks, settings.engine.cache, settings.engine.max_cost) == (1, "read", None)

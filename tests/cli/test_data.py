@@ -139,7 +139,7 @@ def test_an_option_of_another_form(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "NAME=VALUE" in capsys.readouterr().err
 
 
-def test_a_set_of_ones_own_things_can_be_checked(
+def test_a_set_of_custom_things_can_be_checked(
     simulator: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "mine.toml").write_text(THINGS)

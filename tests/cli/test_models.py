@@ -173,7 +173,7 @@ def test_a_folder_is_verified_like_any_other(capsys, tmp_path):
     assert "not a checkpoint" in said
 
 
-def test_a_folder_of_ones_own_is_never_to_be_deleted_and_keeps_its_name(capsys, tmp_path):
+def test_the_users_own_folder_is_never_to_be_deleted(capsys, tmp_path):
     folder = tmp_path / "models [x]"
     folder.mkdir()
     for name, data in REPOSITORY.items():

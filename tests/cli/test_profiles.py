@@ -37,7 +37,7 @@ def test_one_profile_shows_its_experts_and_what_is_missing(capsys: pytest.Captur
     assert "OPENAI_API_KEY" in shown
 
 
-def test_profiles_are_shown_as_they_are_whatever_the_folder_says(
+def test_profiles_are_shown_without_local_settings(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -86,6 +86,6 @@ def test_opencv_adds_no_lines_of_its_own(source: str, words: str, capfd: pytest.
 
 
 @pytest.mark.parametrize("command", ["track", "annotate"])
-def test_what_is_no_video_is_one_line(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_that_is_not_a_video_is_one_line(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(command, "nothing.mp4", "x", "--out", "out") == 2
     assert capsys.readouterr().err == "error: no such video or folder: 'nothing.mp4'\n"

@@ -135,7 +135,7 @@ def test_clearing_removes_everything_and_nothing_else(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("place", ["v2/images", "v2/3f", "v2"])
-def test_files_of_others_stay_whatever_is_done(tmp_path: Path, place: str) -> None:
+def test_other_files_are_never_removed(tmp_path: Path, place: str) -> None:
     """`a4 cache info --folder` of a wrong folder must not cost its owner a file."""
     others = [tmp_path / place / "photo.png", tmp_path / place / "notes.tmp", tmp_path / place / "x.entry"]
     for path in others:
@@ -322,7 +322,7 @@ def test_an_answer_comes_back_as_it_was(answer: Answer) -> None:
 
 @settings(max_examples=100, deadline=None)
 @given(chats, st.data())
-def test_a_damaged_entry_is_no_answer(answer: Answer, data: st.DataObject) -> None:
+def test_a_damaged_entry_is_a_miss(answer: Answer, data: st.DataObject) -> None:
     packed = bytearray(pack(answer))
     if data.draw(st.booleans()):
         place = data.draw(st.integers(0, len(packed) - 1))
@@ -333,11 +333,11 @@ def test_a_damaged_entry_is_no_answer(answer: Answer, data: st.DataObject) -> No
 
 
 @given(st.binary(max_size=200))
-def test_bytes_from_elsewhere_are_no_answer(data: bytes) -> None:
+def test_foreign_bytes_are_a_miss(data: bytes) -> None:
     assert unpack(data) is None
 
 
-def test_an_entry_of_another_version_is_no_answer() -> None:
+def test_an_entry_of_another_version_is_a_miss() -> None:
     body = pack(ChatAnswer("hello")).partition(b"\n")[2].replace(b"ChatAnswer", b"SongAnswer")
     assert unpack(hashlib.sha256(body).hexdigest().encode() + b"\n" + body) is None
     body = body.replace(b"SongAnswer", b"ChatAnswer").replace(b'"attempts"', b'"efforts"')

@@ -116,7 +116,7 @@ class Panic(BaseException):
     """What Rust code raises in Python."""
 
 
-def test_what_is_no_exception_fails_its_request_alone_and_the_rest_is_answered(make: Make) -> None:
+def test_a_base_exception_fails_one_request_and_the_rest_are_answered(make: Make) -> None:
     def answer(request: DetectRequest) -> Any:
         if request.phrase == "c":
             raise Panic("index out of bounds")
@@ -298,7 +298,7 @@ def test_closing_fails_what_is_queued(make: Make) -> None:
     assert not isinstance(first.wait(), Exception)
 
 
-def test_closed_it_fails_what_comes_or_is_held_back(make: Make) -> None:
+def test_after_closing_new_and_held_requests_fail(make: Make) -> None:
     detector = ScriptedDetector(lambda request: ProviderUnavailable("down"))
     dispatcher = Dispatcher(detector, Breaker("x", 60.0, 600.0), ExpertStats("detector", "x"), 0.0)
     ask(dispatcher, *"abcdefghij")  # ten failures in a row: the breaker holds the next back for a minute

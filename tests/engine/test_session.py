@@ -434,7 +434,7 @@ def test_a_stage_cannot_tell_a_queued_expert_from_its_own() -> None:
             assert hasattr(queued, verb) == hasattr(own, verb)
 
 
-def test_what_a_model_said_about_an_invalid_sample_is_asked_again(write: EngineSettings) -> None:
+def test_the_chats_of_an_invalid_sample_are_asked_again(write: EngineSettings) -> None:
     query = Query("a", np.zeros((8, 8, 3), np.uint8), "open")
     for text, status, asked_times in (("hm", "invalid", 1), (output("the handle"), "ok", 1), ("hm", "ok", 0)):
         vlm = ScriptedVLM(lambda request, text=text: text, id="vlm:moody")

@@ -6,7 +6,7 @@ from a4agent.engine.stats import Stats
 from a4agent.types import Affordance, Usage
 
 
-def test_a_line_an_expert_leaves_out_what_did_not_happen() -> None:
+def test_lines_leave_out_zero_counts() -> None:
     stats = Stats()
     stats.of("detector", "idle:1")
     asked = stats.of("vlm", "openai:x")

@@ -180,7 +180,7 @@ def test_the_first_interrupt_is_held_and_the_second_raised() -> None:
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_an_interrupt_of_a_run_that_stops_for_another_reason_is_the_first_all_the_same() -> None:
+def test_an_interrupt_after_another_stop_still_counts_as_the_first() -> None:
     with Stop() as stop:
         stop.request_stop(ValueError("the key is refused"))
         signal.raise_signal(signal.SIGINT)

@@ -53,16 +53,16 @@ def test_shards_that_the_index_names_are_needed(folder):
 
 
 @pytest.mark.parametrize("text", ["{", "[]", "{}"])
-def test_an_index_that_is_none(folder, text):
+def test_an_index_without_a_weight_map_is_damaged(folder, text):
     (folder / "model.safetensors.index.json").write_text(text)
     assert "model.safetensors.index.json" in damage_in(folder)[0]
 
 
-def test_a_folder_that_is_no_checkpoint(tmp_path):
+def test_a_folder_without_a_config_is_not_a_checkpoint(tmp_path):
     assert "not a checkpoint" in damage_in(tmp_path)[0]
 
 
-def test_no_weights_are_said(folder):
+def test_missing_weights_are_reported(folder):
     (folder / "model.safetensors").unlink()
     assert damage_in(folder) == ["there are no .safetensors files"]
 
@@ -101,7 +101,7 @@ def test_contents_are_compared_with_the_name_the_cache_gave_them(tmp_path):
     assert damage_in(snapshot, contents=False) == []
 
 
-def test_a_link_to_weights_that_are_gone_is_no_file(folder):
+def test_a_dangling_link_is_not_a_file(folder):
     (folder / "model.safetensors").unlink()
     (folder / "model.safetensors").symlink_to(folder / "gone")
     assert damage_in(folder) == ["there are no .safetensors files"]

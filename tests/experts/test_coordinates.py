@@ -32,7 +32,7 @@ def test_whole_numbers_that_end_between_two_pixels_do_so_exactly() -> None:
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1)), max_size=5), st.integers(1, 9000), st.integers(1, 9000))
-def test_every_system_says_the_same(unit: list[tuple[float, float]], width: int, height: int) -> None:
+def test_every_system_gives_the_same_pixels(unit: list[tuple[float, float]], width: int, height: int) -> None:
     values = np.array(unit).reshape(-1, 2)
     pixels = to_pixels(values, UNIT, (width, height))
     for system, edge in ((THOUSAND, (1000, 1000)), (BINS_999, (999, 999)), (resized(28, 56), (28, 56))):

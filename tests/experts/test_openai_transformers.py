@@ -75,7 +75,7 @@ def vlm(served: str, model: Path, **settings):
     return registry.create(f"openai:{model}", "vlm", settings)
 
 
-def test_it_hears_what_the_same_model_hears_in_process(served, tiny_qwen_vl, noise):
+def test_it_sends_what_the_same_model_gets_in_process(served, tiny_qwen_vl, noise):
     local = registry.create(f"transformers:{tiny_qwen_vl}", "vlm", {"dtype": "float32", "device": "cpu"})
     remote = vlm(served, tiny_qwen_vl)
     requests = [
@@ -102,7 +102,7 @@ def test_a_schema_it_does_not_know_does_no_harm(served, tiny_qwen_vl, noise):
         expert.close()
 
 
-def test_what_it_rejects_is_said_in_its_own_words(served, tiny_qwen_vl, noise):
+def test_a_rejection_quotes_the_server(served, tiny_qwen_vl, noise):
     expert = vlm(served, Path("/nowhere"))
     (failed,) = expert.chat([ChatRequest((noise(56, 56),), "x")])
     assert isinstance(failed, RequestRejected)

@@ -188,7 +188,7 @@ def test_one_bad_answer_does_not_spoil_the_batch():
     assert vlm.closed
 
 
-def test_an_answer_cut_off_is_read_as_far_as_it_goes_or_said_to_be_cut_off():
+def test_an_answer_cut_off_is_read_as_far_as_possible():
     whole = '<answer>[{"bbox_2d": [0, 0, 84, 84], "point_2d": [4, 4]}, {"bbox_2d": [1,'
     found, _ = detect("vision-reasoner", ChatAnswer(whole, finish_reason="length"))
     assert len(found.boxes_xyxy) == 1

@@ -115,7 +115,7 @@ def test_an_image_is_copied_not_shared() -> None:
     assert np.array_equal(np.asarray(PHOTO), PIXELS)
 
 
-def test_what_is_not_there_or_not_an_image_says_so(tmp_path: Path) -> None:
+def test_missing_files_and_other_formats_are_named(tmp_path: Path) -> None:
     (tmp_path / "empty.jpg").touch()
     (tmp_path / "text.jpg").write_text("not a picture")
     (tmp_path / "cut.jpg").write_bytes(encoded(PHOTO, "JPEG")[:600])
@@ -169,7 +169,7 @@ def test_any_kind_of_path(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("source", [None, 3, [1, 2]])
-def test_what_is_no_kind_of_image_is_refused(source: object) -> None:
+def test_other_types_are_refused(source: object) -> None:
     with pytest.raises(InputError, match=type(source).__name__):
         load_image(source)  # type: ignore[arg-type]
 

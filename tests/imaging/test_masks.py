@@ -16,7 +16,7 @@ from a4agent.imaging.masks import box_area, box_iou, box_overlap, decode_rle, de
 
 
 @given(arrays(bool, array_shapes(min_dims=2, max_dims=2, max_side=20)))
-def test_there_and_back(mask: np.ndarray) -> None:
+def test_masks_round_trip(mask: np.ndarray) -> None:
     packed = json.loads(json.dumps(encode_rle(mask)))
     np.testing.assert_array_equal(decode_rle(packed), mask)
 

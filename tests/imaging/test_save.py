@@ -76,7 +76,7 @@ def test_a_name_that_is_not_unicode_is_saved_and_read_back(tmp_path: Path) -> No
     assert "开门" in (tmp_path / "affordance.json").read_text(encoding="utf-8")
 
 
-def test_reading_what_is_not_there_or_not_an_answer(tmp_path: Path) -> None:
+def test_loading_a_missing_or_invalid_answer(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"affordance\.json"):
         Affordance.load(tmp_path)
     for text in (b'{"schema": 2}', b"[]", b"{", b"\xff"):

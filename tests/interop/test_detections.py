@@ -90,7 +90,7 @@ def test_one_missing_score_means_no_confidence() -> None:
     assert to_supervision(Affordance("open", (30, 20), regions=regions)).confidence is None
 
 
-def test_nothing_found_is_no_detection() -> None:
+def test_nothing_found_is_an_empty_detection() -> None:
     pytest.importorskip("supervision", reason="needs the extra interop")
     detections = to_supervision(Affordance("open", (30, 20)))
     assert len(detections) == 0

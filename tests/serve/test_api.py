@@ -279,7 +279,7 @@ def test_a_photo_cut_off_anywhere_is_refused_also_as_a_stream(serve: Serve, phot
         assert answer.json["error"].startswith("image: ")
 
 
-def test_bodies_that_are_no_question(serve: Serve, photo: bytes) -> None:
+def test_invalid_bodies_are_refused(serve: Serve, photo: bytes) -> None:
     call = serve()
     as_json = {"Content-Type": "application/json"}
     assert call("POST", ONE, b"{", headers=as_json).code == 400

@@ -182,7 +182,7 @@ def test_many_large_pictures_do_not_add_up_in_a_batch() -> None:
         ({**api_docs.example(), "instruction": " \t"}, "instruction: it is blank"),
     ],
 )
-def test_what_does_not_fit_is_said_without_jargon(body: object, says: str) -> None:
+def test_validation_errors_avoid_jargon(body: object, says: str) -> None:
     with pytest.raises(Refused) as caught:
         messages.from_json(json.dumps(body).encode(), LIMITS)
     assert (caught.value.code, caught.value.message) == (422, says)

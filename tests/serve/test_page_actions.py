@@ -206,7 +206,7 @@ def test_models_are_loaded_once_and_those_of_another_profile_take_their_place() 
     profiles.close()
 
 
-def test_what_is_said_of_a_profile() -> None:
+def test_the_summary_of_a_profile() -> None:
     missing = [Missing("a GPU", "buy one")]
     profiles = Profiles(load_settings, lambda settings: scripted_agent(), lambda settings: missing, profile_names())
     assert profiles.dreams("paper")

@@ -84,7 +84,7 @@ def test_boxes_are_shown_before_the_mask_and_without_a_tint() -> None:
 
 
 @given(st.text())
-def test_text_reads_the_same_and_is_no_markup_or_template(words: str) -> None:
+def test_text_is_escaped_and_reads_the_same(words: str) -> None:
     safe = page_views.text(words)
     assert html.unescape(safe) == words
     assert not set(safe) & set("<>\"'{}$`")
@@ -125,7 +125,7 @@ def test_a_profile_that_does_not_work_here_cannot_be_chosen(missing: list[tuple[
     assert ("export KEY" in page) == bool(missing)
 
 
-def test_the_reason_of_a_failure_is_not_said_again_below_the_picture() -> None:
+def test_a_failure_is_explained_once() -> None:
     failed = answer("invalid", regions=(), target=None, error="UnreadableAnswer: a poem")
     page = page_views.picture(StageProgress(PHOTO, "open", True, True).after("affordance", failed, 1.0))
     assert "<figcaption>open</figcaption>" in page
@@ -143,7 +143,7 @@ def test_the_reason_of_a_failure_is_not_said_again_below_the_picture() -> None:
         ("abstained", None, "unsure, shown as a guess"),
     ],
 )
-def test_the_confidence_is_said_in_words(status: str, confidence: float | None, words: str) -> None:
+def test_the_confidence_is_put_in_words(status: str, confidence: float | None, words: str) -> None:
     assert page_views.certainty(answer(status, confidence=confidence)) == words
 
 
@@ -159,7 +159,7 @@ def test_a_guess_looks_like_one_and_names_its_checks() -> None:
     assert page_views.worst_check(guess) == checks[0]
 
 
-def test_two_checks_of_one_sentence_are_said_once() -> None:
+def test_checks_with_the_same_note_are_shown_once() -> None:
     checks = (Check("itself", 0.9, "best match: espresso"), Check("alike", 0.7, "best match: espresso"))
     found = answer("ok", confidence=0.9, checks=checks)
     page = page_views.stages(StageProgress(PHOTO, "fill", False, True, verifies=True).after("affordance", found, 1.0))

@@ -182,7 +182,7 @@ def test_where_nothing_can_be_written_it_says_so(catalogue: Catalogue, tmp_path:
         make_set(tmp_path / "file" / "set", n=1)
 
 
-def test_missing_assets_are_said_before_anything_is_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_missing_assets_are_reported_before_anything_else(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def missing(catalogue: Catalogue) -> dict[str, str]:
         raise MissingExtraError("pip install --no-deps metaworld")
 

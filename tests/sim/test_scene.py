@@ -34,7 +34,7 @@ def test_euler_turns_a_thing_before_it_is_put_down(catalogue: Catalogue) -> None
         assert (high[2] > 1.5 * (high[1] - low[1])) == tall
 
 
-def test_a_catalogue_of_ones_own_need_not_declare_surfaces_or_props(catalogue: Catalogue) -> None:
+def test_a_custom_catalogue_may_lack_surfaces_and_props(catalogue: Catalogue) -> None:
     for surfaces in ((), tuple(one for one in catalogue.surfaces if one.use == ("table",))):
         bare = catalogue.model_copy(update={"surfaces": surfaces, "props": (), "arms": ()})
         drawn = draw_sample(bare, Plan(1, 0, bare.thing("drawer"), bare.thing("drawer").tasks[0]))
@@ -51,7 +51,7 @@ def test_a_catalogue_of_ones_own_need_not_declare_surfaces_or_props(catalogue: C
         ({"in_place": True, "without": ("nobody",)}, "has no body 'nobody' to leave out"),
     ],
 )
-def test_a_declaration_that_does_not_fit_its_file_says_so(
+def test_a_declaration_that_does_not_fit_its_file_is_explained(
     catalogue: Catalogue, change: dict[str, object], says: str
 ) -> None:
     with pytest.raises(DataError, match=says):

@@ -47,7 +47,7 @@ def test_a_probability_lies_between_0_and_1(value: float) -> None:
 
 
 @pytest.mark.parametrize("calibration", [LOGISTIC, ISOTONIC])
-def test_files_there_and_back(tmp_path: Path, calibration: Calibration) -> None:
+def test_files_round_trip(tmp_path: Path, calibration: Calibration) -> None:
     path = tmp_path / "fit.json"
     path.write_text(json.dumps({**calibration.to_dict(), "data": "umd", "protocol": "strict"}))
     again = load_calibration(path)

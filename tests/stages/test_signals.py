@@ -155,7 +155,7 @@ def test_what_the_dreamer_changed() -> None:
     assert (check.value, check.blame) == (0.0, "dreamer")
 
 
-def test_an_edit_in_another_light_is_no_change() -> None:
+def test_an_edit_in_another_light_is_not_a_change() -> None:
     rng = np.random.default_rng(0)
     photo = rng.integers(40, 180, (60, 80, 3)).astype(np.uint8)
     brighter = Image.fromarray(photo + 30)

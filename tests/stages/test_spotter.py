@@ -132,7 +132,7 @@ def test_a_given_detection_is_not_asked_for() -> None:
     assert not detector.requests
 
 
-def test_a_confidence_that_is_no_number_is_no_score() -> None:
+def test_a_non_finite_score_becomes_none() -> None:
     answer = Segmentation(np.ones((1, 1, 48, 64), bool), np.full((1, 1), np.nan, np.float32))
     (region,) = Spotter(ScriptedDetector([found([[0, 0, 9, 9]])]), ScriptedSegmenter([answer])).locate(PHOTO, "x")
     assert region.score is None

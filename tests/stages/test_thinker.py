@@ -71,7 +71,7 @@ def test_structured_sends_a_schema_with_thinking_first() -> None:
     assert next(iter(schema["properties"])) == "thinking"
 
 
-def test_what_the_model_said_instead_is_quoted() -> None:
+def test_an_unusable_answer_is_quoted() -> None:
     unknown = "### Thinking\nI see no mug here.\n### Output\n{}"
     with pytest.raises(UnreadableAnswer, match=r"it said 'I see no mug here\.' \(object_name: "):
         Thinker(ScriptedVLM([unknown] * 3)).decide(PHOTO, "drink")

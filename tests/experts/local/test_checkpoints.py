@@ -54,7 +54,7 @@ def test_the_digest_of_a_folder_follows_its_weights_and_settings_and_not_its_pla
     assert fourth.revision != fifth.revision
 
 
-def test_a_folder_named_like_a_file_is_no_part_of_the_digest(tmp_path):
+def test_a_folder_named_like_a_file_is_not_in_the_digest(tmp_path):
     folder = write_checkpoint(tmp_path / "a")
     revision = find_checkpoint(str(folder)).revision
     (folder / "old.model").mkdir()

@@ -43,7 +43,7 @@ corners = stn.arrays(float, st.tuples(st.integers(0, 8), st.just(4)), elements=s
 
 
 @given(corners, st.floats(0.05, 0.95), st.integers(0, 2**31))
-def test_what_is_kept_overlaps_no_more_than_allowed_and_what_goes_overlaps_something_better(boxes, limit, seed):
+def test_suppression_keeps_the_better_of_overlapping_boxes(boxes, limit, seed):
     boxes = np.concatenate([np.minimum(boxes[:, :2], boxes[:, 2:]), np.maximum(boxes[:, :2], boxes[:, 2:]) + 1], 1)
     scores = np.random.default_rng(seed).uniform(0.1, 1, len(boxes))
     kept = best_boxes(boxes, scores, 0.0, limit, 100)
@@ -94,7 +94,7 @@ def test_agrees_with_the_librarys_post_processing(detector, noise):
     np.testing.assert_allclose(found.boxes_xyxy, expected["boxes"][order].numpy(), rtol=1e-4, atol=1e-3)
 
 
-def test_points_are_derived_and_said_to_be(detector, noise):
+def test_points_are_marked_as_derived(detector, noise):
     found = detector.detect([DetectRequest(noise(96, 64), "mug")])[0]
     assert found.points_derived
     np.testing.assert_allclose(found.points_xy, (found.boxes_xyxy[:, :2] + found.boxes_xyxy[:, 2:]) / 2, rtol=1e-5)

@@ -100,7 +100,7 @@ def test_the_answer_carries_text_reasoning_tokens_price_and_request_id(openai_se
     assert answer.usage.attempts == 1
 
 
-def test_a_server_of_ones_own_has_no_list_price_and_may_leave_usage_out(openai_server):
+def test_a_local_server_has_no_list_price_and_may_omit_usage(openai_server):
     openai_server.replies(chat("x", usage=None))
     answer = ask(openai_server)
     assert isinstance(answer, ChatAnswer)
@@ -108,7 +108,7 @@ def test_a_server_of_ones_own_has_no_list_price_and_may_leave_usage_out(openai_s
 
 
 @pytest.mark.parametrize("wrong", [-4, float("inf")])
-def test_a_usage_that_is_none_is_an_unknown_cost(openai_server, wrong):
+def test_without_usage_the_cost_is_unknown(openai_server, wrong):
     message = {"choices": [{"message": {"role": "assistant", "content": "x"}}]}
     openai_server.replies(as_json({**message, "usage": {"prompt_tokens": "many", "completion_tokens": wrong}}))
     answer = ask(openai_server, QUESTION, price={"input": 1.0, "output": 1.0})
@@ -297,13 +297,13 @@ def test_settings_that_do_not_fit_are_answered(settings):
         create("m", "vlm", **{"base_url": "http://127.0.0.1:9/v1", **settings})
 
 
-def test_it_is_no_detector_and_says_what_is():
+def test_it_refuses_to_be_a_detector():
     with pytest.raises(ConfigError, match="vlm-grounding"):
         registry.create("openai:m", "detector", {"base_url": "http://127.0.0.1:9/v1"})
 
 
 @pytest.mark.parametrize(("text_first", "kinds"), [(False, ["image_url", "text"]), (True, ["text", "image_url"])])
-def test_the_text_stands_where_the_setting_says(openai_server, text_first, kinds):
+def test_the_setting_puts_the_text_first(openai_server, text_first, kinds):
     openai_server.replies(chat("yes"))
     ask(openai_server, ChatRequest((PLAIN,), "x"), text_first=text_first)
     content = openai_server.asked()[0].json["messages"][-1]["content"]

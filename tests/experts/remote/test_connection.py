@@ -125,7 +125,7 @@ def test_a_refused_key_stops_everything(openai_server, code):
         call(openai_server, server="vllm")
 
 
-def test_a_key_that_was_not_sent_is_not_to_be_checked(openai_server, monkeypatch):
+def test_a_key_that_was_not_sent_is_not_blamed(openai_server, monkeypatch):
     """OpenAI's key goes to OpenAI alone; a server of one's own that wants one is told how to get it."""
     monkeypatch.setenv("OPENAI_API_KEY", "x")
     openai_server.replies(error(401, "No key"))
@@ -134,7 +134,7 @@ def test_a_key_that_was_not_sent_is_not_to_be_checked(openai_server, monkeypatch
     assert "x" not in openai_server.asked()[0].headers.get("authorization", "")
 
 
-def test_a_refused_key_of_ones_own_is_named(openai_server, monkeypatch):
+def test_a_refused_custom_key_is_named(openai_server, monkeypatch):
     monkeypatch.setenv("MY_KEY", "x")
     openai_server.replies(error(401, "Incorrect API key"))
     with pytest.raises(CredentialError, match="MY_KEY"):
@@ -153,7 +153,7 @@ def test_an_unknown_model_suggests_the_nearest_the_server_has(openai_server):
         call(openai_server, model="qwen3-vl")
 
 
-def test_a_wrong_address_is_said_to_be_one(openai_server):
+def test_a_wrong_address_is_explained(openai_server):
     openai_server.replies(Reply(b"404 page not found", 404), models=Reply(b"", 404))
     with pytest.raises(ConfigError, match="/v1"):
         call(openai_server)
@@ -175,7 +175,7 @@ def test_a_slow_server_within_the_timeout_is_waited_for(openai_server):
     assert sent.seconds >= 0.3
 
 
-def test_nobody_listening_is_said_so():
+def test_a_refused_connection_is_explained():
     server = FaultyServer()
     server.close()
     with pytest.raises(ProviderUnavailable, match=f"cannot reach 'm' at {server.url}"):
@@ -228,7 +228,7 @@ def test_a_server_is_known_by_its_address(base_url, name):
 
 
 @pytest.mark.parametrize("base_url", ["localhost:8000", "http://127.0.0.1:99999/v1", "http://[::1/v1", "ftp://x/v1"])
-def test_what_is_no_address_is_answered(base_url):
+def test_an_invalid_url_raises(base_url):
     with pytest.raises(ConfigError, match="is not a URL"):
         connect(None, base_url=base_url)
 

@@ -58,6 +58,6 @@ def test_every_price_says_when_and_where():
         5,
     ],
 )
-def test_a_price_that_is_none_is_answered(price):
+def test_an_invalid_price_raises(price):
     with pytest.raises(ConfigError, match="million tokens"):
         price_from_setting(price)

@@ -77,7 +77,7 @@ def test_token_ids_are_trusted_before_the_spelling(openai_server):
     assert np.allclose(found.points_xy, [[10, 10]])
 
 
-def test_token_ids_that_are_none_are_not_trusted(openai_server):
+def test_invalid_token_ids_are_ignored(openai_server):
     openai_server.replies(answers(chat(BOXES, token_ids=[*ids(OPEN, 5, 5, 6, 6, CLOSE), "x"]), chat(POINTS)))
     assert np.allclose(detect(openai_server).boxes_xyxy, [[0, 0, 20, 20], [200, 200, 1998, 999]])
 
