@@ -25,6 +25,7 @@ VERBS = knowledge().action_index
         ("which part of the spatula can support an egg", "which part of the spatula could support an egg"),
         ("take the red and white mug", "take the red mug"),
         ("nimm die tasse", "take the cup"),
+        ("Show me where to pull.", "where to pull."),
     ],
 )
 def test_what_is_only_polite_goes(typed: str, text: str) -> None:
@@ -49,6 +50,7 @@ def test_what_is_ruled_out(text: str, wanted: str, ruled_out: str) -> None:
     ("text", "main", "purpose"),
     [
         ("lift the kettle in order to pour tea", "lift the kettle", "in order to pour tea"),
+        ("show me where to pull", "show me where to pull", ""),
         ("i need to cut bread", "i need to cut bread", ""),
         ("give it to me", "give it to me", ""),
         ("to cut bread", "to cut bread", ""),

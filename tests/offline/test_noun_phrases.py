@@ -55,6 +55,15 @@ def test_the_part_is_generic_only_with_an_article() -> None:
     assert not found("the mug")[0].generic
 
 
+def test_one_of_several_keeps_the_preposition() -> None:
+    assert [(noun.text, noun.role) for noun in found("on one of the mugs")] == [("mug", "goal")]
+
+
+@pytest.mark.parametrize(("phrase", "generic"), [("the end that cuts", True), ("the end of the bat", False)])
+def test_an_end_that_does_something_is_any_part(phrase: str, generic: bool) -> None:
+    assert found(phrase, 3)[0].generic == generic
+
+
 def test_verbs_and_marks_end_a_phrase() -> None:
     assert [noun.text for noun in found("take mug , spoon", 0)] == ["mug", "spoon"]
     assert [noun.text for noun in found("the mug open lid", 2)] == ["mug", "lid"]

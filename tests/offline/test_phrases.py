@@ -26,6 +26,9 @@ from sentence_bank import read
         ("the part of the mug that can contain", {"part": "inside", "kind": "mug", "action": "contain"}),
         ("the small red mug", {"part": "whole", "kind": "mug", "colour": "red", "size": "small"}),
         ("the handle of the frobnicator", {"part": "grip", "object": None, "kind": None}),
+        ("the working end of the frobnicator", {"part": "work", "object": None}),
+        ("the upper board of the shelf", {"part": "body", "object": "shelf", "part_side": "upper"}),
+        ("the left knob", {"part": "control", "kind": "knob", "side": "left"}),
         ("cut the bread", {"part": "work", "object": "knife"}),
     ],
 )

@@ -49,10 +49,10 @@ def test_a_refusal_is_one_plain_sentence_with_an_example() -> None:
 
 
 def test_what_the_network_sees_meets_the_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    mug = SimpleNamespace(kinds={"mug": 0.9, "knife": 0.004, "none": 0.096}, likeliest=("mug", 0.9))
+    mug = SimpleNamespace(kinds={"mug": 0.9, "knife": 0.004, "spoon": 0.05, "none": 0.046}, likeliest=("mug", 0.9))
     seen = [mug, SimpleNamespace(kinds={"none": 1.0}, likeliest=("none", 1.0))]
     monkeypatch.setattr("a4agent.offline.eye.look", lambda image, threads: seen)
-    assert things_in(Image.new("RGB", (8, 8))) == (("mug",), frozenset(["knife"]))
+    assert things_in(Image.new("RGB", (8, 8))) == (("mug",), frozenset(["knife"]), frozenset(["knife", "spoon"]))
     assert '"the handle of the mug"' in ask(fill(TWO, "drink from this"))
     assert "I see no knife: the picture shows a mug." in ask(fill(TWO, "cut the bread"))
 

@@ -52,7 +52,7 @@ def test_only_a_tool_that_can_do_it_counts(sentence: str, has_tool: bool) -> Non
     ],
 )
 def test_the_tool_to_reach_for(sentence: str, tool: tuple[str, str] | None) -> None:
-    assert in_words(situation(sentence)._reached_for()) == tool
+    assert in_words(situation(sentence).reached_for()) == tool
 
 
 def test_a_verb_names_its_tool_only_where_one_usually_takes_it() -> None:
@@ -63,8 +63,8 @@ def test_a_verb_names_its_tool_only_where_one_usually_takes_it() -> None:
 
 
 def test_a_wish_needs_no_verb() -> None:
-    assert in_words(situation("the soup is cold")._wished()) == ("microwave", "cook")
-    assert situation("the mug is blue")._wished() is None
+    assert in_words(situation("the soup is cold").wished()) == ("microwave", "cook")
+    assert situation("the mug is blue").wished() is None
 
 
 @pytest.mark.parametrize(
@@ -124,6 +124,17 @@ def test_a_relative_clause_asks_for_its_action_and_not_for_a_hand() -> None:
     assert situation("get the knife")._wanted_actions == ["grasp"]
     assert situation("fill the mug")._action == "contain"
     assert situation("the mug")._action is None
+
+
+def test_what_a_part_does_itself_is_no_job_for_a_hand() -> None:
+    assert situation("which part of the fork picks up the food?")._wanted_actions == []
+    assert situation("which end goes into the screw?")._wanted_actions == []
+
+
+def test_what_is_pushed_for_a_purpose_serves_it() -> None:
+    microwave = thing("microwave")
+    assert situation("what do I push?")._part(microwave, "push") == microwave.part_named("door")
+    assert situation("what do I push so that it starts?")._part(microwave, "push") == microwave.part_named("buttons")
 
 
 def test_a_purpose_alone_asks_for_a_tool() -> None:

@@ -59,6 +59,8 @@ _POLITE = re.compile(
             r"try (?:and|to)|(?:make sure|be sure|remember|do not forget)(?: to| that you)",
             r"it is time to|(?:your|the) (?:task|job|goal) is to",
             r"please|kindly|possibly|maybe|perhaps|thanks|thank you(?: very much| so much)?",
+            r"(?:show|tell) me(?= (?:what|where|which|how|the (?:part|end|bit|side|spot))\b)",
+            r"point (?:to|at|out)(?= the\b)",
             r"hey|hi|hello|ok|okay|robot|assistant|right now|just|now",
             r"quickly|carefully|gently|slowly|safely|firmly|properly",
             r"(?:in|of|from) (?:the|this) (?:image|picture|photo|photograph|scene)",
@@ -82,7 +84,7 @@ _COMPLAINT = re.compile(r"(?<!you )(?<!which )(?<!that )\b(will|does|did|would|c
 _RULED_IN_AGAIN = re.compile(r"\b(?:and|then|but(?! not)|when|while|as|if|so that|to (?=\w+ ?$))\b.*$")
 _PURPOSE = re.compile(
     r"\b(?:so that|so as to|in order to|in order that|so(?= (?:i|you|we|they|he|she|it|the|my)\b)|because|since"
-    r"|for(?= [a-z]+ing\b)|to(?= [a-z]))\b[^,;:.!?]*"
+    r"|for(?= [a-z]+ing\b)|(?<!where )(?<!how )(?<!what )to(?= [a-z]))\b[^,;:.!?]*"
 )
 _NOT_A_PURPOSE = re.compile(
     r"to (?:the|a|an|my|me|this|that|it|its|be|him|her|us|them|your|our|someone|where|left|right)\b"

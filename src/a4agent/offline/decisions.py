@@ -17,10 +17,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
+from a4agent.offline.absence import Absence
+from a4agent.offline.context import about
 from a4agent.offline.knowledge import QUALIFIERS, Knowledge, KnownPart, KnownThing, knowledge, stem
 from a4agent.offline.language import Reading, Verb, read
 from a4agent.offline.noun_phrases import Noun
-from a4agent.offline.situation import BY_HAND, Situation
+from a4agent.offline.situation import BY_HAND
 from a4agent.offline.wording import Decision, decision, held, listed, noun_of, refused, used_for, with_article
 
 _FACTS = re.compile(
@@ -35,23 +37,29 @@ _UNDERGONE = frozenset(["climb", "drink", "kick", "lie", "play", "ride", "sit", 
 
 
 @lru_cache(maxsize=512)
-def decide(instruction: str, seen: tuple[str, ...] = (), missing: frozenset[str] = frozenset()) -> Decision:
+def decide(
+    instruction: str,
+    seen: tuple[str, ...] = (),
+    missing: frozenset[str] = frozenset(),
+    unlikely: frozenset[str] = frozenset(),
+) -> Decision:
     """Decide, or say why not. The same instruction and things seen always get the same answer.
 
     Args:
         instruction: what somebody typed.
         seen: kinds of things in the picture, the likeliest first; names of knowledge.toml.
         missing: kinds that the network knows and did not find.
+        unlikely: kinds that it hardly found, `missing` included.
     """
     reading = read(instruction)
     if reading is None:
         return refused(instruction, "I can read English, and simple German, French, Spanish, Italian and Dutch.")
     know = knowledge()
-    named = any(noun.thing or noun.part or noun.generic for noun in reading.nouns)
+    named = any(noun.thing or noun.generic or stem(noun.part or "") in know.part_index for noun in reading.nouns)
     if _FACTS.match(reading.text) and not (named and reading.text.startswith("what")):
         return refused(instruction)
-    things = tuple(thing for name in seen if (thing := know.object_named(name)))
-    found = _Decider(reading, things, know).decide() or refused(instruction)
+    things = tuple(replace(thing, name=name) for name in seen if (thing := know.object_named(name)))
+    found = about(_Decider(reading, things, know, missing | unlikely)).decide() or refused(instruction)
     return _compared(_with_its_looks(found, reading), things, missing, know)
 
 
@@ -76,12 +84,14 @@ def _without_qualifiers(name: str) -> str:
     return " ".join(word for word in name.split() if word not in QUALIFIERS) or name
 
 
-class _Decider(Situation):
+class _Decider(Absence):
     """The rules."""
 
     def decide(self) -> Decision | None:
         rules = (
+            self.worked_on,
             self._named_part,
+            self.place,
             self._asked_part,
             self._held,
             self._known_thing,
@@ -89,6 +99,7 @@ class _Decider(Situation):
             self._tool,
             self._guess,
             self._any_part,
+            self._working_end,
         )
         return next((found for rule in rules if (found := rule())), None)
 
@@ -102,7 +113,10 @@ class _Decider(Situation):
             owner = noun.owner
             if noun.role == "object" and self._has_tool():
                 continue
-            if noun.role in ("place", "goal") and any(n.role == "object" and n.thing for n in nouns[:place]) and owner:
+            if stem(noun.part) not in self.know.part_index and not (owner and self._is_moved(noun, owner)):
+                continue
+            beside = any(n.role == "object" and n.thing for n in nouns[:place])
+            if noun.role in ("place", "goal") and beside and owner and self.placed() is None:
                 continue
             if owner is None:
                 if self._is_remark(noun) or (noun.role == "tool" and self._things):
@@ -118,6 +132,11 @@ class _Decider(Situation):
             return Decision(owner.name, noun.name, why, self._action or "use")
         return None
 
+    def _is_moved(self, noun: Noun, owner: Noun) -> bool:
+        """Whether a hand can do what is asked to a part of a name that nobody knows: "pull the frill of the zorble"."""
+        by_hand = bool(set(self._wanted_actions) & BY_HAND)
+        return by_hand and not self._is_idea(noun) and not self._is_idea(owner)
+
     def _handle_instead(self, noun: Noun, owner: Noun) -> KnownPart | None:
         """What moves a named part that a hand does not take itself: "open the door of the fridge"."""
         part = owner.thing.part_named(noun.part or "") if owner.thing else None
@@ -130,8 +149,8 @@ class _Decider(Situation):
         """Whether a part without an owner is what to act on: "by its handle", "open the lid", "the blade"."""
         if noun.role == "aim":
             return True
-        if noun.role == "place":
-            return bool(before) and any(
+        if noun.role in ("place", "goal"):
+            return self.reading.placing or any(
                 n.thing is None or n.thing.part_named(noun.part or "") for n in before if not n.part
             )
         if not self.reading.verbs and len(self.reading.nouns) == 1:  # "the lid, please"
@@ -155,18 +174,22 @@ class _Decider(Situation):
         for noun in candidates:
             if noun.thing and noun.thing.part_named(part.part or ""):
                 return noun
+        if part.role in ("place", "goal") and (
+            shown := next((t for t in self.seen if t.part_named(part.part or "")), None)
+        ):
+            return noun_of(shown)
         unknown = next(
             (n for n in candidates if n.thing is None and not n.pronoun and n.definite and n.role == "object"), None
         )
-        if part.role in ("aim", "place") and unknown:
+        if part.role in ("aim", "place", "goal") and unknown:
             return unknown
         if part.role == "aim" and candidates and candidates[0].thing:
             return candidates[0]
-        tool = self._reached_for()
+        tool = self.reached_for()
         for thing in (*self.seen, *((tool[0],) if tool else ())):
             if thing.part_named(part.part or ""):
                 return noun_of(thing)
-        if any(n.thing for n in candidates) and part.role == "place":
+        if any(n.thing for n in candidates) and part.role in ("place", "goal"):
             return None
         return Noun("object", 0, 0, pronoun=True)
 
@@ -222,9 +245,11 @@ class _Decider(Situation):
         if not self.reading.holding:
             return None
         noun = next((n for n in self._candidates if n.thing), None)
+        if {"tool", "instrument", "utensil"} & set(self.reading.words) and self.reached_for():
+            noun = None
         if noun and noun.thing and (part := self._part(noun.thing, "grasp")):
             return held(noun, part)
-        tool = self._reached_for()
+        tool = self.reached_for()
         if not tool and any(n.definite and not n.pronoun for n in self._own_nouns if not n.part and not n.generic):
             return self._guess()
         if tool and (part := self._part(tool[0], "grasp")):
@@ -248,14 +273,11 @@ class _Decider(Situation):
     def _known_thing(self) -> Decision | None:
         candidates = self._candidates
         if any(n.pronoun and n.role == "object" for n in self.reading.nouns):  # "hang it on a hook"
-            candidates = [noun for noun in candidates if noun.role != "place"]
+            candidates = [noun for noun in candidates if noun.role not in ("place", "goal")]
         if not candidates:
             return None
         verbs = list(self.reading.verbs)
-        if asked := self._asked_after(candidates):
-            verbs = [asked]
-            candidates = sorted(candidates, key=lambda noun: not (noun.thing and noun.thing.part_for("open")))
-        tool = None if candidates[0].role == "tool" else (self._reached_for() or self._by_verb_alone())
+        tool = None if candidates[0].role == "tool" else (self.reached_for() or self._by_verb_alone())
         unknown_tool = next(
             (n for n in self.reading.nouns if n.role == "tool" and n.definite and not n.thing and not n.pronoun), None
         )
@@ -272,7 +294,7 @@ class _Decider(Situation):
             for nouns in (near, [noun for noun in candidates if noun not in near]):
                 if found := self._acted_on(nouns, verb):
                     return found
-        wish = self._wished()
+        wish = self.wished()
         if wish and (part := self._part(*wish)):
             why = f"{with_article(wish[0].name).capitalize()} would help: use the {part.name}."
             return decision(noun_of(wish[0]), part, wish[1], why)
@@ -296,9 +318,9 @@ class _Decider(Situation):
             n.thing is None and n.part is None and not n.pronoun and not n.generic for n in self._own_nouns
         )
         goal = next((n for n in self.reading.nouns if n.pronoun and n.role == "goal"), None)
-        if unknown or any(n.thing and n.role != "place" for n in self.reading.nouns):
+        if unknown or any(n.thing and n.role not in ("place", "goal") for n in self.reading.nouns):
             return None
-        if not self.seen and (self._reached_for() or self._asks_for_a_tool):
+        if not self.seen and (self.reached_for() or self._asks_for_a_tool):
             return None
         verbs = self.reading.verbs
         nouns, words = self.reading.nouns, self.reading.words
@@ -319,6 +341,12 @@ class _Decider(Situation):
 
     def _of_anything(self, action: str, spoken: str, actions: Sequence[str] = ()) -> Decision | None:
         """The part of something in the picture that affords an action, or what most things have for it."""
+        noun = next((n for n in self.reading.nouns if n.pronoun), Noun("object", 0, 0, pronoun=True))
+        if self.reading.placing and noun.qualifiers:  # "low down"
+            board = f"{noun.qualifiers[0]} shelf"
+            return Decision(
+                self.seen[0].name if self.seen else "object", board, "That is a place on a shelf.", sure=False
+            )
         of_its_own = DOES.get(action, ()) if _PART_FOR.search(self.reading.text) else ()
         for thing in self.seen:
             for one in (*of_its_own, *(actions or (action,)), *self.know.instead.get(action, ())):
@@ -326,7 +354,6 @@ class _Decider(Situation):
                     why = f"I see {with_article(thing.name)}: to {self._spoken(one)}, use the {part.name}."
                     return decision(noun_of(thing), part, one, why)
         usual = self.know.usual_part.get(stem(spoken)) or self.know.usual_part.get(stem(action))
-        noun = next((n for n in self.reading.nouns if n.pronoun), Noun("object", 0, 0, pronoun=True))
         name = " ".join((*noun.qualifiers, "object"))
         if usual and not _PART_FOR.search(self.reading.text):
             why = f"No thing is named; most things have {with_article(usual)} to {spoken}."
@@ -339,7 +366,7 @@ class _Decider(Situation):
     def _tool(self) -> Decision | None:
         if any(n.role == "tool" and n.definite and not n.thing and not n.pronoun for n in self.reading.nouns):
             return None
-        tool = self._vessel() or self._reached_for()
+        tool = self._vessel() or self.reached_for()
         if tool is None:
             if self._guess():
                 return None
@@ -362,7 +389,7 @@ class _Decider(Situation):
             usual = self.know.usual_part.get(stem(verb.text)) or self.know.usual_part.get((verb.actions[0],))
             usual = usual or self._part_of_a_usual_tool(verb)
             by_hand = bool(set(verb.actions) & BY_HAND) or verb.actions[0] in _UNDERGONE or verb.text == "pour"
-            for noun in sorted(nouns, key=lambda n: (n.role != "tool", n.role == "place")):
+            for noun in sorted(nouns, key=lambda n: (n.role != "tool", n.role in ("place", "goal"))):
                 noun = noun.owner if noun.generic and noun.owner else noun
                 if noun.pronoun or noun.generic or not noun.definite or self._is_idea(noun):
                     continue
@@ -381,6 +408,18 @@ class _Decider(Situation):
         if noun is None or not (self.reading.verbs and set(self.reading.verbs[0].actions) & BY_HAND):
             return None
         return Decision("object", noun.name, f"The instruction itself names the {noun.name}.", self._action or "use")
+
+    def _working_end(self) -> Decision | None:
+        """The end that does the job, where nothing is known about the job: "which end goes down?"."""
+        asked = next((noun for noun in self.reading.nouns if noun.generic), None)
+        if asked is None or (asked.owner and self._is_idea(asked.owner)):
+            return None
+        if self.seen and (asked.owner is None or asked.owner.pronoun):
+            part = self.seen[0].working_part
+            return decision(noun_of(self.seen[0]), part, "use", f"I see {with_article(self.seen[0].name)}.")
+        owner = asked.owner or Noun("object", 0, 0, pronoun=True)
+        why = f"I do not know this {owner.text}, so its working end is looked for."
+        return Decision(owner.name, "working end", why, sure=False)
 
 
 def _actions_on(noun: Noun, verb: Verb) -> tuple[str, ...]:

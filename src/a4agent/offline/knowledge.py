@@ -38,6 +38,7 @@ QUALIFIERS = {
     "righthand": ("side", "right"), "right-hand": ("side", "right"), "rightmost": ("side", "right"),
     "top": ("side", "upper"), "topmost": ("side", "upper"), "uppermost": ("side", "upper"), "higher": ("side", "upper"),
     "bottom": ("side", "lower"), "lowest": ("side", "lower"), "bottommost": ("side", "lower"),
+    "low": ("side", "lower"), "high": ("side", "upper"),
     "central": ("side", "middle"), "center": ("side", "middle"), "centre": ("side", "middle"),
     "nearest": ("side", "front"), "closest": ("side", "front"), "rear": ("side", "back"),
     "little": ("size", "small"), "tiny": ("size", "small"), "smaller": ("size", "small"), "smallest": ("size", "small"),

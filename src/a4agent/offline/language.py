@@ -36,7 +36,8 @@ _HOLD = re.compile(
     r"|\b(?:hands?|fingers?|thumb|palm|grip|grasp|hold)\b[^?.!]*\b(?:goe?s?|belongs?|rests?|wraps?|be placed|be put)\b"
 )
 _WHERE_TO_PUT = re.compile(
-    r"\bwhere (?:do|does|should|could|would|will|is|are|to)(?: \w+){0,2} (?:pour|put|fill|store|keep|insert|stow)\b"
+    r"\bwhere (?:do|does|should|could|would|will|may|might|shall|is|are|to)(?: [\w-]+){0,3} "
+    r"(?:pour|put|fill|store|keep|insert|stow|set|set down|lay|place|stand|drop|throw|stack|hang|go|belong|fit|live)\b"
     r"(?! (?:my|the|your) (?:hand|hands|finger|fingers|palm|foot|feet)\b)"
 )
 _SAFELY = re.compile(r"\b(?:burn|hurt|cut|injur|scald|prick|harm)\w*\b")
@@ -68,14 +69,18 @@ class Reading:
     unwanted: tuple[Noun, ...] = ()
     unwanted_actions: tuple[str, ...] = ()
     holding: bool = False
+    placing: bool = False
 
 
 def read(instruction: str) -> Reading | None:
     """Take a sentence apart; None if it is in a language that the tables do not cover."""
-    know = knowledge()
     text = plain(instruction)
-    if text is None:
-        return None
+    return None if text is None else parse(text)
+
+
+def parse(text: str) -> Reading:
+    """Take a plain sentence apart, in lower case and spelt right."""
+    know = knowledge()
     wanted, ruled_out = set_apart(text)
     main, purpose = main_and_purpose(wanted)
     main, purpose = (joined_verbs(part, know.action_index) for part in (main, purpose))
@@ -88,7 +93,8 @@ def read(instruction: str) -> Reading | None:
     ]
     to_put = bool(_WHERE_TO_PUT.search(main)) and not _HOLD.search(main)
     if to_put:
-        verbs = [replace(verb, base="fill", actions=("contain",)) for verb in verbs]
+        verbs = [replace(verb, base="fill", actions=("contain", "support")) for verb in verbs]
+        verbs = verbs or [Verb("put", "put", ("contain", "support"), 0, 0)]
     named = nouns(words, _places(verbs), know)
     if to_put:
         named = [noun for noun in named if noun.role != "object" or noun.pronoun]
@@ -109,7 +115,14 @@ def read(instruction: str) -> Reading | None:
     holding = bool(_HOLD.search(main)) or ("without" in ruled_out and bool(_SAFELY.search(ruled_out)))
     actions = tuple(action for verb in out_verbs for action in verb.actions[:1])
     return Reading(
-        text, (*words, *after), (*verbs, *later), tuple(named), tuple(unwanted), actions + _adjectives(out), holding
+        text,
+        (*words, *after),
+        (*verbs, *later),
+        tuple(named),
+        tuple(unwanted),
+        actions + _adjectives(out),
+        holding,
+        to_put,
     )
 
 
@@ -183,6 +196,10 @@ def _is_verb(words: Sequence[str], mention: Mention[tuple[str, ...]], know: Know
     if written in (("look",), ("looks",)) and after not in PREPOSITIONS:  # "it looks tasty"
         return False
     if before in _MODALS and mention.start:
+        return True
+    if before == "to" and words[mention.start - 2] in {"where", "how", "what"}:
+        return True
+    if gerund and before == "the" and words[mention.start - 2] in {"do", "does"}:  # "the end that does the cutting"
         return True
     if before in PREPOSITIONS or before in {"for", "without", "before", "after"}:
         return gerund or (before == "to" and not (noun and after in MARKS | {"of"}))

@@ -31,13 +31,13 @@ BEFORE_VERBS = word_set(
     "only first , ; : . ! ?"
 )
 _PLACES = word_set(
-    "on to toward towards from off out near next beside behind below beneath under underneath above over between "
+    "to toward towards from off out near next beside behind below beneath under underneath above over between "
     "against around across along within outside through"
 )
 PREPOSITIONS: dict[str, Role] = {
     **dict.fromkeys(("with", "using", "use", "uses", "via"), "tool"),
     **dict.fromkeys(_PLACES, "place"),
-    **dict.fromkeys(("in", "into", "inside", "onto"), "goal"),
+    **dict.fromkeys(("in", "into", "inside", "on", "onto", "upon"), "goal"),
     "by": "aim",
     "at": "aim",
     "of": "owner",
@@ -90,6 +90,7 @@ class Noun:
         )
 
 
+_SOME = word_set("one each either any some both all")
 _REMOVABLE = word_set("cap lid top cover cork stopper")
 _OF_PEOPLE = word_set("hand hands finger fingers thumb palm foot feet grip way time")
 """What is not in the picture as a thing to act on."""
@@ -108,7 +109,9 @@ def nouns(words: list[str], in_verb: set[int], know: Knowledge) -> list[Noun]:
     index = 0
     while index < len(words):
         word = words[index]
-        if index in in_verb or word in MARKS:
+        if word in _SOME and words[index + 1 : index + 2] == ["of"]:  # "on one of the boards"
+            index += 2
+        elif index in in_verb or word in MARKS:
             role, index = "object", index + 1
         elif word in PREPOSITIONS and not (word == "to" and index + 1 in in_verb):
             role, index = PREPOSITIONS[word], index + 1
@@ -117,6 +120,8 @@ def nouns(words: list[str], in_verb: set[int], know: Knowledge) -> list[Noun]:
             if phrase is None:
                 index += 1
                 continue
+            if phrase.text in GENERIC_PARTS and words[phrase.end : phrase.end + 1] in (["that"], ["which"]):
+                phrase = replace(phrase, part=None)  # "the end that cuts"
             if phrase.pronoun and phrase.qualifiers and words[index - 1] in {"is", "are"}:  # "the mug that is blue"
                 role = "place"
             index = phrase.end
@@ -143,6 +148,11 @@ def _add(found: list[Noun], noun: Noun, role: Role) -> None:
         fits = fits or (role == "place" and last.part in _REMOVABLE and noun.thing is not None)
         if last.part and (of or fits) and not (last.thing and not fits):
             found[-1] = replace(last, owner=noun, thing=None, end=noun.end)
+            return
+        itself = last.thing is not None and last.thing.part_named(last.text) is not None  # a lever, a knob, a shelf
+        named = last.definite and noun.start == last.end + 1
+        if of and (itself or (named and not last.thing and not last.part and not last.pronoun)):
+            found[-1] = replace(last, part=last.text, owner=noun, thing=None, end=noun.end)
             return
         if of and last.thing is None and last.part is None and noun.thing:  # "a picture of the mug"
             found[-1] = replace(noun, role=last.role)

@@ -97,7 +97,8 @@ def wanted(phrase: str) -> Wanted:
     plain = [word for word in content if word not in QUALIFIERS]
     if objects and objects[0].end - objects[0].start == len(plain):
         thing = objects[0].value
-        return replace(_whole(thing), **_qualifiers(content, thing))
+        itself = _part(thing.name, thing) if thing.part_named(thing.name) else _whole(thing)
+        return replace(itself, **_qualifiers(content, thing))
     if shape := know.shapes.get(stem(plain)):
         return Wanted(shape, part=_PART_MAPS[shape])
     decision = decide(phrase)

@@ -29,6 +29,8 @@ _DREAMER_TASK = re.compile(r"The given TASK is:\s*(.*)\Z", re.DOTALL)
 _NO_KINDS = frozenset(["none", "other"])
 RECOGNISED = 0.6
 """From this probability on, a thing in the picture counts as recognised."""
+UNLIKELY = 0.1
+"""What a tool is used on is meant, and not the tool, if no thing in the picture is one with this probability."""
 RULED_OUT = 0.005
 """A kind is missing if no thing in the picture has it with this probability."""
 
@@ -53,18 +55,19 @@ class OfflineReasoner(ExpertBase):
                 "'offline:reasoner' only answers the Dreamer's and the Thinker's prompts of the set 'paper', "
                 f"not {request.text[:60]!r}; name another model: thinker.vlm = 'openai:gpt-4o'"
             )
-        seen, missing = things_in(request.images[0], self.threads) if request.images else ((), frozenset[str]())
-        decision = decide(task, seen, missing)
+        decision = decide(task, *things_in(request.images[0], self.threads) if request.images else ())
         return ChatAnswer(text=thinker_answer(task, decision)) if decision.phrase else RefusedAnswer(decision.because)
 
 
-def things_in(image: Image, threads: int = 0) -> tuple[tuple[str, ...], frozenset[str]]:
-    """The kinds of thing recognised in a picture, the likeliest first, and the kinds that it does not show."""
+def things_in(image: Image, threads: int = 0) -> tuple[tuple[str, ...], frozenset[str], frozenset[str]]:
+    """The kinds of thing recognised in a picture, the likeliest first, those that are missing, and those unlikely."""
     things = eye.look(image, threads)
     likeliest = [thing.likeliest for thing in things]
     seen = tuple(dict.fromkeys(kind for kind, p in likeliest if p >= RECOGNISED and kind not in _NO_KINDS))
     known = {kind for thing in things for kind in thing.kinds} - _NO_KINDS
-    return seen, frozenset(kind for kind in known if all(thing.kinds.get(kind, 0.0) < RULED_OUT for thing in things))
+    most = {kind: max(thing.kinds.get(kind, 0.0) for thing in things) for kind in known}
+    missing, unlikely = (frozenset(kind for kind in known if most[kind] < least) for least in (RULED_OUT, UNLIKELY))
+    return seen, missing, unlikely
 
 
 def thinker_task(text: str) -> str | None:

@@ -11,6 +11,13 @@ from a4agent.offline.language import Reading, Verb
 from a4agent.offline.noun_phrases import Noun
 
 BY_HAND = frozenset(["activate", "adjust", "close", "fasten", "grasp", "open", "press", "pull", "push", "turn", "hang"])
+_MOVED = frozenset(["press", "pull", "push", "turn"])
+
+
+def _in_third_person(verb: Verb) -> bool:
+    """Whether a part does it and not a hand: "the part that picks up"."""
+    said, base = verb.text.split()[0], verb.base.split()[0]
+    return said in (f"{base}s", f"{base}es")
 
 
 @dataclass(frozen=True)
@@ -20,6 +27,12 @@ class Situation:
     reading: Reading
     seen: tuple[KnownThing, ...]
     know: Knowledge
+    unlikely: frozenset[str] = frozenset()
+
+    def shown(self, nouns: Sequence[Noun]) -> list[Noun]:
+        """The nouns that name something in the picture."""
+        keys = {thing.key for thing in self.seen}
+        return [noun for noun in nouns if noun.thing and keys & {noun.thing.key, noun.thing.kind}]
 
     def _has_tool(self) -> bool:
         """Whether a tool is named that does what the sentence asks: "pry the lid off with a screwdriver"."""
@@ -42,11 +55,6 @@ class Situation:
         order = {"tool": 0, "object": 1, "aim": 1, "owner": 2, "place": 2, "goal": 3}
         flat = [noun.owner if noun.owner and noun.generic else noun for noun in self.reading.nouns]
         return sorted((n for n in flat if n.thing), key=lambda n: (order[n.role], self._is_remark(n)))
-
-    def _asked_after(self, candidates: Sequence[Noun]) -> Verb | None:
-        """What a second sentence asks to pull, after the first described the scene."""
-        verb = next((v for v in self.reading.verbs if {"pull", "open"} & set(v.actions)), None)
-        return verb if verb and "." in self.reading.words[candidates[-1].end : verb.start] else None
 
     @property
     def _states(self) -> bool:
@@ -71,7 +79,9 @@ class Situation:
         banned |= {p.name for p in thing.parts if ruled_out_actions & set(p.affords) and "grasp" not in p.affords}
         able = [p for p in thing.parts if action in p.affords and p.name not in banned]
         purposes = {one for verb in self.reading.verbs if verb.purpose for one in verb.actions}
-        part = next((p for p in able if purposes & set(p.affords)), able[0] if able else None)
+        serving = [p for p in thing.parts if purposes & set(p.affords) and p.name not in banned]
+        moved = [p for p in serving if action in _MOVED and BY_HAND - purposes & set(p.affords)]
+        part = next((p for p in serving if p in able), next(iter((*moved, *able)), None))
         if part or action != "grasp" or not thing.part_for("grasp"):
             return part
         left = [p for p in thing.parts if p.name not in banned and not {"cut", "spear"} & set(p.affords)]
@@ -87,7 +97,7 @@ class Situation:
     def _asks(self) -> bool:
         return bool({"where", "what", "which", "how"} & set(self.reading.words))
 
-    def _reached_for(self) -> tuple[KnownThing, str] | None:
+    def reached_for(self) -> tuple[KnownThing, str] | None:
         """The tool for what is to be done, and the action: by verb and what it is done to, then by a wish."""
         if tool := self._named_by_verb():
             return tool
@@ -98,7 +108,7 @@ class Situation:
                 for action, name in theme.value:
                     if action in verb.actions:
                         return self.know.objects[name], action
-        return self._wished()
+        return self.wished()
 
     def _named_by_verb(self) -> tuple[KnownThing, str] | None:
         """The tool that a verb is named after: "mop the floor", "ladle the soup"."""
@@ -127,7 +137,7 @@ class Situation:
         names = ((name, action) for action in verb.actions for name in self.know.default_index.get(action, ()))
         return [(self.know.objects[name], action) for name, action in names]
 
-    def _wished(self) -> tuple[KnownThing, str] | None:
+    def wished(self) -> tuple[KnownThing, str] | None:
         """What helps someone who only says what is wrong: "the soup is cold". A verb still chooses the part."""
         for wish in self.know.wishes:
             if re.search(wish.says, self.reading.text):
@@ -150,14 +160,14 @@ class Situation:
     def _wanted_actions(self) -> list[str]:
         """The actions of the verbs; a relative clause's before those that only fetch ("find", "use")."""
         asked = [verb for verb in self.reading.verbs if verb.text in ("holds", "keeps")]
-        itself = [verb for verb in self.reading.verbs if verb.text == verb.base + "s"]  # what the part does, not a hand
+        itself = [verb for verb in self.reading.verbs if _in_third_person(verb)]  # what the part does, not a hand
         return [
             *(["contain"] if asked else []),
             *(
                 action
                 for verb in self.reading.verbs
                 for action in verb.actions
-                if verb not in itself or action not in ("grasp", "pull", "push")
+                if verb not in itself or action not in ("grasp", "place", "pull", "push")
             ),
         ]
 

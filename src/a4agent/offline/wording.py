@@ -34,6 +34,8 @@ class Decision:
         if self.part_name.startswith("part that can "):
             of_it = "" if self.object_name == "object" else f" of the {self.object_name}"
             return f"the part{of_it} {self.part_name.removeprefix('part ')}"
+        if self.object_name and self.part_name == self.object_name.rsplit(" ", maxsplit=1)[-1]:  # a knob
+            return f"the {self.object_name}"
         return f"the {self.part_name} of the {self.object_name}"
 
 
