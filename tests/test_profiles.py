@@ -8,7 +8,7 @@ from a4agent.agent import A4Agent
 from a4agent.config import load_settings, profile_names
 from a4agent.errors import ConfigError, MissingExtraError
 from a4agent.experts import registry
-from a4agent.requirements import EXTRAS
+from a4agent.requirements import EXTRAS, extras_of
 
 WANTED = {
     "offline", "paper", "paper-open", "without-dreamer", "spotter-only", "paper-sam2-base-plus", "paper-sam2-tiny",
@@ -32,7 +32,7 @@ def test_a_profile_says_what_it_is_and_its_settings_exist(name):
     assert info.summary
     assert info.memory
     assert info.licences
-    assert set(info.needs) <= set(EXTRAS)
+    assert set(extras_of(settings.expert_specs())) <= set(EXTRAS)
     for role, spec in settings.expert_specs().items():
         inner = registry.inner_experts(spec.expert, spec.settings)
         for expert, own in [(spec.expert, spec.settings), *inner.values()]:

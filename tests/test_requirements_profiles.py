@@ -15,10 +15,9 @@ from a4agent.requirements import Missing, check_profile, check_settings
 from a4agent.testing import ScriptedDetector
 
 PROFILE = """
-[profile]
-needs = ["offline"]
 [spotter]
 detector = "mine:detector"
+segmenter = "offline:parts"
 """
 
 

@@ -156,7 +156,6 @@ class ProfileInfo(SettingsTable):
     summary: str = ""
     memory: str = ""
     licences: list[str] = []
-    needs: list[str] = []
     notes: str = ""
 
 

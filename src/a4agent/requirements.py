@@ -266,14 +266,13 @@ def check_profile(name: str) -> list[Missing]:
 
 def check_settings(settings: Settings) -> list[Missing]:
     """The same for merged settings."""
-    found = _missing_extras(settings.profile.needs)
     experts = settings.expert_specs()
     try:
-        checkpoints = needs(experts)
+        extras, checkpoints = extras_of(experts), needs(experts)
     except A4Error as error:
-        return [*found, Missing(str(error), "correct the profile or the --set that names it")]
-    found += _missing_keys(experts, checkpoints)
-    return _once_a_fix([*found, *(_as_missing(one) for one in checkpoints if one.path is None)])
+        return [Missing(str(error), "correct the profile or the --set that names it")]
+    models = [_as_missing(one) for one in checkpoints if one.path is None]
+    return _once_a_fix([*_missing_extras(extras), *_missing_keys(experts, checkpoints), *models])
 
 
 def _missing_extras(extras: Sequence[str]) -> list[Missing]:

@@ -32,6 +32,7 @@ def _as_dict(name: str, settings: Settings) -> dict[str, object]:
     return {
         "name": name,
         **settings.profile.model_dump(),
+        "extras": requirements.extras_of(settings.expert_specs()),
         "downloads": downloads(settings),
         "experts": {role: spec.expert for role, spec in settings.expert_specs().items()},
         "missing": [{"what": missing.what, "fix": missing.fix} for missing in check_profile(name)],
@@ -79,7 +80,7 @@ def _show_one(name: str, settings: Settings) -> None:
         ("memory", [info.memory]),
         ("downloads", downloads(settings)),
         ("licences", info.licences),
-        ("extras", info.needs),
+        ("extras", requirements.extras_of(settings.expert_specs())),
         ("notes", [info.notes]),
     ):
         if any(lines):
