@@ -31,7 +31,6 @@ def test_a_profile_says_what_it_is_and_its_settings_exist(name):
     info = settings.profile
     assert info.summary
     assert info.memory
-    assert info.licences
     assert set(extras_of(settings.expert_specs())) <= set(EXTRAS)
     for role, spec in settings.expert_specs().items():
         inner = registry.inner_experts(spec.expert, spec.settings)

@@ -151,7 +151,7 @@ class RaySettings(SettingsTable):
 
 
 class ProfileInfo(SettingsTable):
-    """A profile's description for people."""
+    """A profile's description for people. `licences` are those of models that models.toml does not list."""
 
     summary: str = ""
     memory: str = ""

@@ -33,10 +33,20 @@ def _as_dict(name: str, settings: Settings) -> dict[str, object]:
         "name": name,
         **settings.profile.model_dump(),
         "extras": requirements.extras_of(settings.expert_specs()),
+        "licences": licences(settings),
         "downloads": downloads(settings),
         "experts": {role: spec.expert for role, spec in settings.expert_specs().items()},
         "missing": [{"what": missing.what, "fix": missing.fix} for missing in check_profile(name)],
     }
+
+
+def licences(settings: Settings) -> list[str]:
+    """The licence of each checkpoint, and what the profile says of its other models."""
+    checkpoints = requirements.needs(settings.expert_specs())
+    listed = [
+        f"{one.name}: {one.info.licence}{'' if one.info.commercial else ', non-commercial'}" for one in checkpoints
+    ]
+    return [*settings.profile.licences, *listed]
 
 
 def downloads(settings: Settings) -> list[str]:
@@ -79,7 +89,7 @@ def _show_one(name: str, settings: Settings) -> None:
     for title, lines in (
         ("memory", [info.memory]),
         ("downloads", downloads(settings)),
-        ("licences", info.licences),
+        ("licences", licences(settings)),
         ("extras", requirements.extras_of(settings.expert_specs())),
         ("notes", [info.notes]),
     ):
