@@ -13,7 +13,6 @@ files unused for longest go. Other files in the folder are never touched.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import logging
 import os
@@ -24,20 +23,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
 from a4agent.errors import ConfigError, DataError, InputError
 from a4agent.files import is_draft, replace_file, system_cache
+from a4agent.imaging.encode import encoded
 from a4agent.imaging.load import image_hash, load_image
 from a4agent.imaging.masks import decode_rle, encode_rle
 from a4agent.protocols import Answer, ChatAnswer, EditAnswer, Expert, Request, Segmentation
 from a4agent.redaction import redact
 from a4agent.types import Detection, Usage
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 log = logging.getLogger("a4agent")
 
@@ -215,7 +212,8 @@ def pack(answer: Answer) -> bytes:
     """An answer as bytes; `unpack` gives an equal one."""
     held = {field.name: _stored(getattr(answer, field.name)) for field in fields(answer)}
     line = json.dumps(redact({"kind": type(answer).__name__, **held})).encode()
-    body = line + b"\n" + (_png(answer.image) if isinstance(answer, EditAnswer) else b"")
+    picture = answer.image.convert("RGB") if isinstance(answer, EditAnswer) else None
+    body = line + b"\n" + (encoded(picture, "PNG", compress_level=1) if picture else b"")
     return hashlib.sha256(body).hexdigest().encode() + b"\n" + body
 
 
@@ -240,12 +238,6 @@ def unpack(data: bytes) -> Answer | None:
         DataError,
     ):
         return None
-
-
-def _png(picture: Image) -> bytes:
-    buffer = io.BytesIO()
-    picture.convert("RGB").save(buffer, "PNG", compress_level=1)
-    return buffer.getvalue()
 
 
 def _stored(value: Any) -> Any:

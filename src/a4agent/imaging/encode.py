@@ -1,4 +1,4 @@
-"""Encode pictures for HTTP: the same picture always gives the same bytes.
+"""Encode pictures: for HTTP, the same picture always gives the same bytes.
 
 Servers reuse the part of a prompt that has not changed, images included, only if its bytes are equal; so
 each photo is encoded once and its bytes are kept while it is in memory.
@@ -68,6 +68,11 @@ class PictureEncoder:
         if self.max_side and max(picture.size) > self.max_side:
             picture.thumbnail((self.max_side, self.max_side))
         options = {"quality": self.quality} if self.image_format == "jpeg" else {"compress_level": 3}
-        buffer = io.BytesIO()
-        picture.save(buffer, FORMATS[self.image_format], **options)
-        return buffer.getvalue()
+        return encoded(picture, FORMATS[self.image_format], **options)
+
+
+def encoded(image: Image, file_format: str, **options: Any) -> bytes:
+    """The bytes of a picture's file in one of Pillow's formats, with Pillow's options for it."""
+    buffer = io.BytesIO()
+    image.save(buffer, file_format, **options)
+    return buffer.getvalue()

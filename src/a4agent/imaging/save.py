@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import tempfile
 from collections.abc import Mapping
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from a4agent.errors import InputError
 from a4agent.files import replace_file
+from a4agent.imaging.encode import encoded
 from a4agent.imaging.load import ANSWER_PICTURES
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def write_answer(folder: Path, record: Mapping[str, Any], pictures: Mapping[str,
     try:
         for name in ANSWER_PICTURES:
             if name in pictures:
-                replace_file(folder / name, _png(pictures[name]))
+                replace_file(folder / name, encoded(pictures[name], "PNG", compress_level=3))
             else:
                 (folder / name).unlink(missing_ok=True)
         # A lone surrogate (a file name that is not UTF-8) is written as the escape that JSON has for it.
@@ -52,9 +52,3 @@ def make_folder(folder: Path) -> None:
             pass
     except OSError as error:
         raise InputError(f"cannot write to {str(folder)!r}: {error}; choose another folder with --out") from error
-
-
-def _png(image: Image) -> bytes:
-    file = io.BytesIO()
-    image.save(file, "PNG", compress_level=3)
-    return file.getvalue()

@@ -8,7 +8,6 @@ are scaled to their picture and stay run-length encoded.
 from __future__ import annotations
 
 import base64
-import io
 import json
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -22,6 +21,7 @@ import numpy as np
 from a4agent import metrics
 from a4agent.engine.pipeline import ordered_map
 from a4agent.errors import DataError, InputError
+from a4agent.imaging.encode import encoded
 from a4agent.imaging.load import load_image
 from a4agent.imaging.masks import decode_rle
 from a4agent.redaction import redact
@@ -227,9 +227,8 @@ def _embedded(folder: Path, name: str, side: int) -> str:
     except (InputError, OSError):
         return ""
     image.thumbnail((side, side), Image.Resampling.HAMMING)
-    buffer = io.BytesIO()
-    image.save(buffer, "WEBP", quality=75, method=2)  # half of a JPEG's bytes
-    return base64.b64encode(buffer.getvalue()).decode("ascii")
+    data = encoded(image, "WEBP", quality=75, method=2)  # half of a JPEG's bytes
+    return base64.b64encode(data).decode("ascii")
 
 
 def _published(run: Run, found: metrics.Scores) -> dict[str, Any] | None:

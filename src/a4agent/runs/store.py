@@ -24,7 +24,6 @@ by readers and cut off by the next writer.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import os
 import socket
@@ -37,6 +36,7 @@ from typing import TYPE_CHECKING, Any
 
 from a4agent.errors import ConfigError, DataError
 from a4agent.files import is_draft, replace_file
+from a4agent.imaging.encode import encoded
 from a4agent.imaging.load import image_hash
 from a4agent.metrics import Row
 from a4agent.redaction import redact
@@ -301,9 +301,7 @@ class RunWriter:
         if not path.exists():
             small = image.convert("RGB")
             small.thumbnail((PICTURE_SIDE, PICTURE_SIDE), Images.Resampling.LANCZOS, reducing_gap=2.0)
-            buffer = io.BytesIO()
-            small.save(buffer, "JPEG", quality=85)
-            write_atomically(path, buffer.getvalue())
+            write_atomically(path, encoded(small, "JPEG", quality=85))
         return name
 
     def add_animation(self, frames: Sequence[Image]) -> str:
@@ -311,10 +309,9 @@ class RunWriter:
         name = f"images/{hashlib.sha256(''.join(image_hash(frame) for frame in frames).encode()).hexdigest()[:20]}.webp"
         path = self.folder / name
         if not path.exists():
-            buffer = io.BytesIO()
             first, *others = frames
-            first.save(buffer, "WEBP", save_all=True, append_images=others, duration=200, loop=0, quality=50, method=2)
-            write_atomically(path, buffer.getvalue())
+            options = {"append_images": others, "duration": 200, "loop": 0, "quality": 50, "method": 2}
+            write_atomically(path, encoded(first, "WEBP", save_all=True, **options))
         return name
 
     def _adopt(self, there: Manifest) -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 import json
 from functools import lru_cache
 from typing import Any
 
+from a4agent.imaging.encode import encoded
 from a4agent.serve import messages
 
 DESCRIPTION = """Which part of the thing in this picture do I act on?
@@ -101,9 +101,8 @@ def example() -> dict[str, str]:
     draw = ImageDraw.Draw(picture)
     draw.rectangle((14, 10, 38, 40), fill=(200, 60, 40))
     draw.arc((32, 15, 52, 35), -90, 90, fill=(200, 60, 40), width=4)
-    file = io.BytesIO()
-    picture.save(file, "PNG", optimize=True)
-    return {"image": base64.b64encode(file.getvalue()).decode("ascii"), "instruction": "drink from the mug"}
+    data = encoded(picture, "PNG", optimize=True)
+    return {"image": base64.b64encode(data).decode("ascii"), "instruction": "drink from the mug"}
 
 
 def html_docs(schema: dict[str, Any]) -> str:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import asyncio
 import base64
 import binascii
-import io
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,6 +25,7 @@ from a4agent import __version__
 from a4agent.acting.lifting import Intrinsics, Lifted, lift
 from a4agent.agent import A4Agent
 from a4agent.errors import A4Error, ConfigError, InputError, require
+from a4agent.imaging.encode import encoded
 from a4agent.imaging.load import load_image, read_pixels
 from a4agent.imaging.masks import decode_rle
 from a4agent.serve.admission import CallerCheck, Limits, read_below, to_json
@@ -164,9 +164,7 @@ def create_mcp(tools: PartTools) -> Any:
         if affordance.image is not None:
             overlay = affordance.draw()
             overlay.thumbnail((MAX_SIDE, MAX_SIDE))
-            file = io.BytesIO()
-            overlay.save(file, "PNG")
-            parts.append(module.Image(data=file.getvalue(), format="png"))
+            parts.append(module.Image(data=encoded(overlay, "PNG"), format="png"))
         return parts
 
     @server.tool(structured_output=False)

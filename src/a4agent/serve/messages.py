@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import base64
 import binascii
-import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from a4agent.acting.lifting import Intrinsics, metres_of
 from a4agent.acting.plan import ActionPlan, plan_action
 from a4agent.errors import InputError, MissingExtraError
+from a4agent.imaging.encode import encoded
 from a4agent.imaging.load import TooManyPixels, load_image, read_pixels
 from a4agent.redaction import redact
 from a4agent.serve.admission import Limits, Refused, to_json
@@ -429,6 +429,4 @@ def _mask_to_wire(mask: np.ndarray, rle: dict[str, Any], form: MaskForm) -> dict
 
 
 def _png(image: Image) -> str:
-    file = io.BytesIO()
-    image.save(file, "PNG")
-    return base64.b64encode(file.getvalue()).decode("ascii")
+    return base64.b64encode(encoded(image, "PNG")).decode("ascii")

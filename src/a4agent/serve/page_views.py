@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from a4agent.imaging import overlay
+from a4agent.imaging.encode import encoded
 from a4agent.types import Affordance, Check, Imagination, Region, Step, Target
 
 if TYPE_CHECKING:
@@ -247,6 +247,5 @@ def _counted(count: int, one: str, many: str) -> str:
 
 
 def _uri(image: Image) -> str:
-    file = io.BytesIO()
-    image.convert("RGB").save(file, "JPEG", quality=88)
-    return "data:image/jpeg;base64," + base64.b64encode(file.getvalue()).decode("ascii")
+    data = encoded(image.convert("RGB"), "JPEG", quality=88)
+    return "data:image/jpeg;base64," + base64.b64encode(data).decode("ascii")
