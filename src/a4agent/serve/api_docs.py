@@ -118,7 +118,7 @@ def html_docs(schema: dict[str, Any]) -> str:
     forms = "".join(
         f'<h3 id="{name}">{name}</h3><pre>{html.escape(json.dumps(form, indent=1, ensure_ascii=False))}</pre>'
         for name, form in schema["components"]["schemas"].items()
-        if name.endswith(("In", "Out", "Mask"))
+        if "ValidationError" not in name
     )
     about = "".join(f"<p>{html.escape(text)}</p>" for text in schema["info"]["description"].split("\n\n"))
     return (

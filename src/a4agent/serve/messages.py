@@ -9,7 +9,7 @@ import base64
 import binascii
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
@@ -22,7 +22,18 @@ from a4agent.imaging.encode import encoded
 from a4agent.imaging.load import TooManyPixels, load_image, read_pixels
 from a4agent.redaction import redact
 from a4agent.serve.admission import Limits, Refused, to_json
-from a4agent.types import Affordance, Detection, Given, Imagination, Target, finite_or_none, rounded
+from a4agent.types import (
+    Affordance,
+    Check,
+    Detection,
+    Given,
+    Imagination,
+    Status,
+    Step,
+    Target,
+    finite_or_none,
+    rounded,
+)
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -96,13 +107,6 @@ class PngMask(BaseModel):
     png: str = Field(description="base64")
 
 
-class TargetOut(BaseModel):
-    task: str
-    object_name: str
-    object_part: str = Field(examples=["the handle of the mug"])
-    thinking: str
-
-
 class ImaginationOut(BaseModel):
     prompt: str
     png: str | None = Field(None, description="base64; only where `imagination=png` was asked for")
@@ -114,26 +118,6 @@ class RegionOut(BaseModel):
     mask: RleMask | PngMask | None = Field(description="null where this is the only region: see the answer's `mask`")
     score: float | None
     predicted_iou: float | None
-
-
-class CheckOut(BaseModel):
-    """One thing that the Verifier looked at: 0 is bad, 1 is good, null could not be measured."""
-
-    name: str
-    value: float | None
-    note: str
-    blame: str
-
-
-class StepOut(BaseModel):
-    """One model call."""
-
-    model_config = ConfigDict(extra="allow")
-
-    stage: str
-    role: str
-    expert: str
-    seconds: float
 
 
 class ContactOut(BaseModel):
@@ -176,17 +160,17 @@ class AffordanceOut(BaseModel):
     image_path: str | None = Field(description="where the caller had the picture, if that is known")
     profile: str | None
     version: str | None = Field(description="of a4agent")
-    status: Literal["ok", "abstained", "empty", "invalid", "error"]
+    status: Status
     error: str | None
     confidence: float | None = Field(description="probability that the mask is right; null without a Verifier")
-    checks: list[CheckOut]
-    target: TargetOut | None
+    checks: list[Check]
+    target: Target | None
     imagination: ImaginationOut | None
     boxes_xyxy: list[tuple[float, float, float, float]]
     points_xy: list[tuple[float, float]]
     mask: RleMask | PngMask | None = Field(description="the union of the regions' masks")
     regions: list[RegionOut]
-    trace: list[StepOut]
+    trace: list[Step]
     action: ActionOut
 
 
@@ -396,7 +380,7 @@ def stage_to_wire(name: str, value: Any, imagination: PictureForm) -> dict[str, 
     if name == "imagination":
         return imagination_to_wire(value, imagination)
     if name == "target":
-        return redact(TargetOut.model_validate(value, from_attributes=True).model_dump())
+        return redact(asdict(value))
     found: Detection = value
     return {
         "boxes_xyxy": rounded(found.boxes_xyxy),
