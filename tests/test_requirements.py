@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 
 from a4agent import requirements
@@ -147,7 +149,7 @@ def test_an_external_expert_can_declare_its_checkpoints(monkeypatch):
         return None
 
     module = type("module", (), {"checkpoints": staticmethod(lambda model, settings: [f"stranger/{model}"])})
-    monkeypatch.setitem(requirements.sys.modules, factory.__module__, module)
+    monkeypatch.setitem(sys.modules, factory.__module__, module)
     monkeypatch.setitem(registry.plugins.added, "stranger", factory)
     assert names(detector="stranger:eye") == ["stranger/eye"]
 

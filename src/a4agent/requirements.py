@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import importlib.util
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -193,7 +192,7 @@ def _checkpoints_of(spec: str, settings: Mapping[str, Any]) -> list[tuple[str, s
         revision = str(settings["revision"]) if settings.get("revision") else None
         whole = (hub.full_name(provider, model), revision)
         return [whole, *((file, None) for file in _lora_of(model, settings, table["lightning"]))]
-    module: Any = sys.modules.get(registry.factory_of(provider).__module__)
+    module, _ = registry.module_of(spec)
     own: Sequence[str] = module.checkpoints(model, settings) if hasattr(module, "checkpoints") else ()
     found: list[tuple[str, str | None]] = [(name, None) for name in own]
     for inner_spec, inner_settings in registry.inner_experts(spec, settings).values():

@@ -39,24 +39,9 @@ PLAIN: dict[Any, tuple[type, str]] = {
 plugins = Plugins("a4agent.experts", "expert provider", "`a4 models list` shows what there is.")
 
 
-def register(provider: str, factory: Factory) -> None:
-    """Add a provider for this process, without packaging (tests, notebooks). Replaces one of the same name."""
-    plugins.register(provider, factory)
-
-
-def providers() -> list[str]:
-    """The names of all registered providers."""
-    return plugins.names()
-
-
-def factory_of(provider: str) -> Factory:
-    """The factory of a provider.
-
-    Raises:
-        UnknownNameError: nobody registered it; the message suggests the nearest name.
-        ConfigError: it is registered, but its module cannot be loaded.
-    """
-    return plugins.find(provider)
+register, providers = plugins.register, plugins.names
+factory_of: Callable[[str], Factory] = plugins.find
+"""The factory of a provider; see `Plugins.find` for its errors."""
 
 
 def split(spec: str) -> tuple[str, str]:
@@ -71,6 +56,17 @@ def split(spec: str) -> tuple[str, str]:
     return provider, model
 
 
+def module_of(spec: str) -> tuple[Any, str]:
+    """The module of the factory behind a spec, which may say more about its models, and the model's name.
+
+    Raises:
+        UnknownNameError: no such provider.
+        ConfigError: there is no colon, or the provider's module cannot be imported.
+    """
+    provider, model = split(spec)
+    return sys.modules.get(factory_of(provider).__module__), model
+
+
 def last_day(spec: str, settings: Mapping[str, Any]) -> str:
     """The day (ISO) on which the vendor stops serving a model, as far as this package knows; "" if unknown.
 
@@ -79,8 +75,7 @@ def last_day(spec: str, settings: Mapping[str, Any]) -> str:
     Raises:
         UnknownNameError: no such provider.
     """
-    provider, model = split(spec)
-    module: Any = sys.modules.get(factory_of(provider).__module__)
+    module, model = module_of(spec)
     return str(module.last_day(model, settings)) if hasattr(module, "last_day") else ""
 
 
@@ -94,8 +89,7 @@ def inner_experts(spec: str, settings: Mapping[str, Any]) -> dict[Role, tuple[st
         UnknownNameError: no such provider.
         ConfigError: an inner expert is not written "provider:model".
     """
-    provider, model = split(spec)
-    module: Any = sys.modules.get(factory_of(provider).__module__)
+    module, model = module_of(spec)
     found: dict[Role, tuple[str, dict[str, Any]]] = {}
     if hasattr(module, "inner_experts"):
         found = module.inner_experts(model, settings)
