@@ -18,7 +18,9 @@ class Absence(Situation):
         """What a tool is used on, where the picture shows that and no such tool: "wipe the table with the sponge"."""
         verb = next((verb for verb in self.reading.verbs if not verb.purpose), None)
         nouns = [noun for noun in self.reading.nouns if verb and noun.start >= verb.end]
-        noun = next((n for n in nouns if n.role == "object" and n.thing and not n.owner and n.definite), None)
+        nouns = [noun for noun in nouns if noun.thing and noun.definite and not noun.owner]
+        held = self.shown([noun for noun in nouns if noun.role in ("place", "goal")])  # "crack the egg into the bowl"
+        noun = next((noun for noun in (*nouns, *held) if noun.role == "object" or noun in held), None)
         thing = noun.thing if noun else None
         if verb is None or noun is None or thing is None:
             return None
@@ -29,7 +31,7 @@ class Absence(Situation):
             return None
         if not self.shown([noun]) and (named or tools[0].kind not in self.unlikely or thing.kind in self.unlikely):
             return None
-        near = (*verb.actions, *self._instead(verb))
+        near = (*(["open"] if "open" in verb.text.split() else []), *verb.actions, *self._instead(verb))
         part = next((part for action in near if (part := self._part(thing, action))), None)
         wide = (part for part in thing.parts if part.shape in ("whole", "body", "opening"))
         part = part or next(wide, thing.parts[0])

@@ -184,7 +184,7 @@ _ANY_NUMBER = "a|an|all|any|both|each|either|every|one|some|" + "|".join(sorted(
 _SPLIT_VERB = re.compile(
     rf"\b([a-z]+) ((?:{_ANY_NUMBER})(?: [\w'-]+){{1,7}}?|it|them|this|that) "
     r"(on|off|up|down|in|out|open|shut|closed|away|over|back)"
-    r"(?=\s*(?:$|[.,;:?!]|\b(?:and|again|before|by|for|from|in|into|now|onto|so|then|to|until|using|with)\b))"
+    r"(?=\s*(?:$|[.,;:?!]|\b(?:and|again|against|at|before|behind|beside|by|for|from|in|into|now|on|onto|so|then|to|until|using|with)\b))"
 )
 _OPENED = {"open": "open", "shut": "close", "closed": "close"}
 

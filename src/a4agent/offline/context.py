@@ -27,7 +27,8 @@ _QUESTION = re.compile(
 )
 _CONDITION = re.compile(r"\b(?:if|when|in case) (?:i|you|we|one)\b[^.;:!?]*")
 _HERE = re.compile(
-    r"\b(?:in|inside|within|behind) (?:here|there|it|this|these|that|those)(?=[.,;:!?]|$| (?:and|so|but|is|are)\b)"
+    r"\b(?:in|inside|within|behind) "
+    r"(?:(?:here|there)\b|(?:it|this|these|that|those)(?=[.,;:!?]|$| (?:and|so|but|is|are)\b))"
     r"|\b(?:from|out of) (?:in |inside |behind )?(?:here|there)\b|\b(?:is|are) (?:\w+ )?inside\b"
 )
 _THERE = re.compile(r"\b(?:from|out of) (?:in |inside |behind )?(?:here|there)\b")
@@ -35,6 +36,7 @@ _IT_IS_FOR = re.compile(
     r"(?:^|[.;!?] )(?:this|that|it|these|those|they) (?:(?:should|must|will|would|could|has to|have to) )?"
     r"(?:covers?|fits?|closes?|belongs?|goes|go|shuts?|seals?)\b"
 )
+_NEEDS = re.compile(r"\b(?:needs?|wants?|have to|has to|must|would like)\b")
 _FETCHED = frozenset(["get", "fetch", "take", "take out", "bring", "reach", "give", "hand", "pass", "hand me"])
 _ON_WHAT = re.compile(r"^where\b(?!.*\bwith\b)")
 
@@ -60,6 +62,7 @@ def _asked(situation: S, start: int, end: int) -> S:
     if any(_is_named(noun) for noun in question.nouns) or not told.nouns or not says_how:
         return situation
     named = [noun for noun in told.nouns if noun.thing and not (question.placing and noun.role == "object")]
+    named = [noun for noun in named if told.words[noun.start - 1 : noun.start] != ("for",)]  # "water for the bath"
     inside = bool(_HERE.search(text))
     if _IT_IS_FOR.search(text):  # "this covers the box": it is not the box
         others = {noun.thing.key for noun in named if noun.thing}
@@ -69,6 +72,7 @@ def _asked(situation: S, start: int, end: int) -> S:
         meant = _meant(named, question, situation, inside)
     if meant is None:
         return situation
+    meant = sorted(meant, key=lambda noun: not noun.qualifiers)  # "the drawer, the lowest one"
     if inside and not meant and _fetches(question):
         question = _opened(text)
     if not meant:
@@ -87,7 +91,7 @@ def _meant(named: Sequence[Noun], question: Reading, situation: Situation, insid
         return shown
     if inside:
         return ()
-    if situation.reached_for():
+    if situation.wished() or (_NEEDS.search(situation.reading.text) and situation.reached_for()):
         return None
     actions = {action for verb in question.verbs for action in verb.actions}
     if fitting := [noun for noun in named if noun.thing and any(noun.thing.part_for(action) for action in actions)]:

@@ -113,6 +113,8 @@ class _Decider(Absence):
             owner = noun.owner
             if noun.role == "object" and self._has_tool():
                 continue
+            if noun.role in ("place", "goal") and any(n.generic for n in nouns):  # "which end goes into the slot?"
+                continue
             if stem(noun.part) not in self.know.part_index and not (owner and self._is_moved(noun, owner)):
                 continue
             beside = any(n.role == "object" and n.thing for n in nouns[:place])
@@ -205,8 +207,9 @@ class _Decider(Absence):
         sense = [action for word in self.reading.words for action in self._sense(word)]
         sense += [action for word in described for action in self.know.action_index.get(stem(word), ())]
         if owner is None or owner.thing is None:
-            unknown = owner and not owner.pronoun and owner.part is None
-            return self._of_anything(sense[0], sense[0]) if sense and not unknown else None
+            if owner and not owner.pronoun and owner.part is None:
+                return self._guess() or self._working_end()
+            return self._of_anything(sense[0], sense[0]) if sense else None
         thing = owner.thing
         if self._is_to_hold_something():
             wanted = ["contain", *wanted]
@@ -322,7 +325,7 @@ class _Decider(Absence):
             return None
         if not self.seen and (self.reached_for() or self._asks_for_a_tool):
             return None
-        verbs = self.reading.verbs
+        verbs = self._done_by_hand
         nouns, words = self.reading.nouns, self.reading.words
         bare = not nouns and len(words) == 1 and bool(verbs) and verbs[0].actions[0] in BY_HAND
         points = any(n.pronoun or n.generic for n in nouns) or (not nouns and self._asks)
@@ -383,7 +386,7 @@ class _Decider(Absence):
 
     def _guess(self) -> Decision | None:
         """ "open the hatch": what a thing of an unknown kind is usually handled by, for such a verb."""
-        verbs = self.reading.verbs
+        verbs = self._done_by_hand
         nouns = [noun for noun in self.reading.nouns if noun.thing is None and (not noun.part or noun.role == "tool")]
         for verb in verbs:
             usual = self.know.usual_part.get(stem(verb.text)) or self.know.usual_part.get((verb.actions[0],))
@@ -391,7 +394,7 @@ class _Decider(Absence):
             by_hand = bool(set(verb.actions) & BY_HAND) or verb.actions[0] in _UNDERGONE or verb.text == "pour"
             for noun in sorted(nouns, key=lambda n: (n.role != "tool", n.role in ("place", "goal"))):
                 noun = noun.owner if noun.generic and noun.owner else noun
-                if noun.pronoun or noun.generic or not noun.definite or self._is_idea(noun):
+                if noun.pronoun or noun.generic or self._is_idea(noun) or not (noun.definite or self._asks):
                     continue
                 if usual is None or not (by_hand or noun.role == "tool"):
                     continue
@@ -412,6 +415,8 @@ class _Decider(Absence):
     def _working_end(self) -> Decision | None:
         """The end that does the job, where nothing is known about the job: "which end goes down?"."""
         asked = next((noun for noun in self.reading.nouns if noun.generic), None)
+        if asked is None and self.seen and self._asks and self.reading.verbs and not self.reading.nouns:
+            asked = Noun("object", 0, 0, pronoun=True)  # "what goes in my mouth?"
         if asked is None or (asked.owner and self._is_idea(asked.owner)):
             return None
         if self.seen and (asked.owner is None or asked.owner.pronoun):

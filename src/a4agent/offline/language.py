@@ -33,6 +33,7 @@ _MODALS = word_set("could would should must might will i you we they")
 _HOLD = re.compile(
     r"\b(?:where|which|what|how)\b[^?.!]*\b(?:hold|held|holding|grip|gripped|grasp|grasped|grab|grabbed|pick|take|carry"
     r"|lift|hands?|fingers?|thumb|palm)\b"
+    r"|\bwhere (?:could|may|might|should|do) (?:i|you|we|one) touch\b"
     r"|\b(?:hands?|fingers?|thumb|palm|grip|grasp|hold)\b[^?.!]*\b(?:goe?s?|belongs?|rests?|wraps?|be placed|be put)\b"
 )
 _WHERE_TO_PUT = re.compile(

@@ -90,6 +90,7 @@ class Noun:
         )
 
 
+_MINE = word_set("my your his her")
 _SOME = word_set("one each either any some both all")
 _REMOVABLE = word_set("cap lid top cover cork stopper")
 _OF_PEOPLE = word_set("hand hands finger fingers thumb palm foot feet grip way time")
@@ -111,6 +112,8 @@ def nouns(words: list[str], in_verb: set[int], know: Knowledge) -> list[Noun]:
         word = words[index]
         if word in _SOME and words[index + 1 : index + 2] == ["of"]:  # "on one of the boards"
             index += 2
+        elif word in _MINE and words[index + 1 : index + 2] and words[index + 1] in _OF_BODIES:  # "in my mouth"
+            index += 2
         elif index in in_verb or word in MARKS:
             role, index = "object", index + 1
         elif word in PREPOSITIONS and not (word == "to" and index + 1 in in_verb):
@@ -120,6 +123,8 @@ def nouns(words: list[str], in_verb: set[int], know: Knowledge) -> list[Noun]:
             if phrase is None:
                 index += 1
                 continue
+            if role == "owner" and found and found[-1].generic:
+                phrase = _without_verb(phrase, words)
             if phrase.text in GENERIC_PARTS and words[phrase.end : phrase.end + 1] in (["that"], ["which"]):
                 phrase = replace(phrase, part=None)  # "the end that cuts"
             if phrase.pronoun and phrase.qualifiers and words[index - 1] in {"is", "are"}:  # "the mug that is blue"
@@ -128,6 +133,14 @@ def nouns(words: list[str], in_verb: set[int], know: Knowledge) -> list[Noun]:
             _add(found, replace(phrase, role=role), role)
             role = "object"
     return found
+
+
+def _without_verb(noun: Noun, words: Sequence[str]) -> Noun:
+    """An unknown thing without the verb after it: "(which part of) the ferrule touches the rod"."""
+    said = noun.text.split()
+    verb = len(said) > 1 and said[-1].endswith("s") and words[noun.end : noun.end + 1] and noun.thing is None
+    goes_on = verb and words[noun.end] in (DETERMINERS | frozenset(PREPOSITIONS))
+    return replace(noun, text=" ".join(said[:-1]), end=noun.end - 1) if goes_on else noun
 
 
 def _add(found: list[Noun], noun: Noun, role: Role) -> None:
@@ -204,8 +217,6 @@ def _phrase(words: list[str], start: int, in_verb: set[int], know: Knowledge) ->
             rest = _named(run[place + 1 :], index + place + 1, True, know)
             return replace(rest, owner=owner or rest.owner, start=start) if rest else owner
     noun = _named(run, index, definite, know, asked=bool({"which", "what"} & set(words[start:index])))
-    if noun and noun.part in _OF_BODIES and not noun.thing and {"my", "your", "his", "her"} & set(words[start:index]):
-        return None
     return replace(noun, start=start) if noun else None
 
 

@@ -11,6 +11,7 @@ from a4agent.offline.language import Reading, Verb
 from a4agent.offline.noun_phrases import Noun
 
 BY_HAND = frozenset(["activate", "adjust", "close", "fasten", "grasp", "open", "press", "pull", "push", "turn", "hang"])
+_HANDLING = frozenset(["grasp", "place", "pull", "push"])
 _MOVED = frozenset(["press", "pull", "push", "turn"])
 
 
@@ -157,17 +158,22 @@ class Situation:
         return any(stem(words[-count:]) in self.know.untouchable for count in (1, 2, 3))
 
     @property
+    def _done_by_hand(self) -> list[Verb]:
+        """The verbs without what a part does itself: "which end goes into the slot?"."""
+        return [v for v in self.reading.verbs if not (_in_third_person(v) and _HANDLING & set(v.actions))]
+
+    @property
     def _wanted_actions(self) -> list[str]:
         """The actions of the verbs; a relative clause's before those that only fetch ("find", "use")."""
         asked = [verb for verb in self.reading.verbs if verb.text in ("holds", "keeps")]
-        itself = [verb for verb in self.reading.verbs if _in_third_person(verb)]  # what the part does, not a hand
+        by_hand = self._done_by_hand
         return [
             *(["contain"] if asked else []),
             *(
                 action
                 for verb in self.reading.verbs
                 for action in verb.actions
-                if verb not in itself or action not in ("grasp", "place", "pull", "push")
+                if verb in by_hand or action not in _HANDLING
             ),
         ]
 
