@@ -56,6 +56,14 @@ def test_this_is_not_what_it_covers() -> None:
         ("My lunch is still inside. How do I get it out?", ("microwave",), "the handle of the microwave"),
         ("Someone will tear their sleeve on this. Where do I strike?", (), "the head of the object"),
         ("The crate should stand low down. Where does it go?", (), "the lower shelf of the object"),
+        ("Which end picks up peas?", ("fork",), "the tines of the fork"),
+        (
+            "The drawers are full. I mean the lowest one. Where do I pull?",
+            ("drawer",),
+            "the handle of the lower drawer",
+        ),
+        ("Water for the bath is ready. How do I lift it?", ("kettle",), "the handle of the kettle"),
+        ("My soup is ready. What do I pull?", (), "the handle of the object"),
         ("My hands are muddy. What do I push aside first?", ("drawer",), "the handle of the faucet"),
     ],
 )

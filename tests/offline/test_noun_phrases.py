@@ -59,6 +59,16 @@ def test_one_of_several_keeps_the_preposition() -> None:
     assert [(noun.text, noun.role) for noun in found("on one of the mugs")] == [("mug", "goal")]
 
 
+def test_a_body_is_no_part_of_a_thing() -> None:
+    assert found("in my mouth") == []
+
+
+def test_the_verb_after_an_unknown_thing_is_not_its_name() -> None:
+    part, touches, rod = found("which part of the ferrule touches the rod")
+    assert part.owner is not None
+    assert (part.owner.text, touches.text, rod.text) == ("ferrule", "touches", "rod")
+
+
 @pytest.mark.parametrize(("phrase", "generic"), [("the end that cuts", True), ("the end of the bat", False)])
 def test_an_end_that_does_something_is_any_part(phrase: str, generic: bool) -> None:
     assert found(phrase, 3)[0].generic == generic

@@ -26,7 +26,20 @@ def test_slips_are_mended(typed: str, meant: str) -> None:
 
 @pytest.mark.parametrize(
     "word",
-    ["casket", "ewer", "decanter", "hatch", "zorble", "sledge", "trivet", "glasses", "cutting", "potatos", "cat"],
+    [
+        "casket",
+        "ewer",
+        "decanter",
+        "hatch",
+        "zorble",
+        "sledge",
+        "trivet",
+        "glasses",
+        "cutting",
+        "potatos",
+        "cat",
+        "parka",
+    ],
 )
 def test_other_words_stay(word: str) -> None:
     assert corrected(word) == word

@@ -10,6 +10,9 @@ from a4agent.offline.noun_phrases import Noun
 from a4agent.offline.situation import Situation
 from a4agent.offline.wording import Decision, decision, noun_of
 
+_DESTINED = frozenset(["belong", "go"])
+"""Verbs of things that are put somewhere: "the spoons belong in the drawer"."""
+
 
 class Absence(Situation):
     """The rules for such sentences."""
@@ -41,7 +44,9 @@ class Absence(Situation):
         """What is put somewhere, None if nothing is or if the picture shows it: then it is taken hold of."""
         verb = next((verb for verb in self.reading.verbs if "place" in verb.actions and not verb.purpose), None)
         nouns = [noun for noun in self.reading.nouns if noun.role == "object" and not noun.pronoun]
-        return None if verb is None or self.shown(nouns) else nouns
+        if verb is None or any(noun.generic for noun in nouns):  # "which end goes into the screw?"
+            return None
+        return nouns if verb.base in _DESTINED or not self.shown(nouns) else None
 
     def place(self) -> Decision | None:
         """Where something goes that the picture does not show: "put the vase on the table"."""
@@ -49,8 +54,9 @@ class Absence(Situation):
         place = next((n for n in self.reading.nouns if n.role == "goal" and n.thing and not n.owner), None)
         if not placed or place is None or place.thing is None:
             return None
-        away = [n for n in placed if n.thing and n.thing.kind in self.unlikely]
-        if not self.shown([place]) and (place.thing.kind in self.unlikely or not away):
+        away = all(noun.thing is None or noun.thing.kind in self.unlikely for noun in placed)
+        destined = any(verb.base in _DESTINED for verb in self.reading.verbs)
+        if not self.shown([place]) and not destined and (place.thing.kind in self.unlikely or not away):
             return None
         parts = (self._part(place.thing, action) for action in self.know.instead["place"])
         part = next((part for part in parts if part), None)

@@ -17,7 +17,7 @@ from typing import TypeVar
 
 from a4agent.offline.language import Reading, parse
 from a4agent.offline.noun_phrases import Noun
-from a4agent.offline.situation import BY_HAND, Situation
+from a4agent.offline.situation import Situation
 
 S = TypeVar("S", bound=Situation)
 
@@ -38,7 +38,6 @@ _IT_IS_FOR = re.compile(
 )
 _NEEDS = re.compile(r"\b(?:needs?|wants?|have to|has to|must|would like)\b")
 _FETCHED = frozenset(["get", "fetch", "take", "take out", "bring", "reach", "give", "hand", "pass", "hand me"])
-_ON_WHAT = re.compile(r"^where\b(?!.*\bwith\b)")
 
 
 def about(situation: S) -> S:
@@ -58,7 +57,7 @@ def _asked(situation: S, start: int, end: int) -> S:
     condition = _CONDITION.search(text, start, end)
     question = parse(text[start : condition.start() if condition else end])
     told = parse(f"{text[:start]} . {condition[0] if condition else ''} . {text[end:]}")
-    says_how = bool(question.verbs) or any(noun.generic for noun in question.nouns)
+    says_how = bool(question.verbs) or question.holding or any(noun.generic for noun in question.nouns)
     if any(_is_named(noun) for noun in question.nouns) or not told.nouns or not says_how:
         return situation
     named = [noun for noun in told.nouns if noun.thing and not (question.placing and noun.role == "object")]
@@ -98,11 +97,7 @@ def _meant(named: Sequence[Noun], question: Reading, situation: Situation, insid
         return fitting
     if named and not actions:
         return None
-    near = actions.union(*(situation.know.instead.get(action, ()) for action in actions))
-    if any(thing.part_for(action) for thing in situation.seen for action in near):
-        return ()
-    generic = any(noun.generic for noun in question.nouns)
-    return () if generic or (_ON_WHAT.search(question.text) and not actions & BY_HAND) else None
+    return ()
 
 
 def _is_named(noun: Noun) -> bool:

@@ -247,12 +247,10 @@ class _Decider(Absence):
     def _held(self) -> Decision | None:
         if not self.reading.holding:
             return None
-        noun = next((n for n in self._candidates if n.thing), None)
-        if {"tool", "instrument", "utensil"} & set(self.reading.words) and self.reached_for():
-            noun = None
+        tool = self.reached_for()
+        noun = next((n for n in self._candidates if n.thing and (n.definite or not tool)), None)
         if noun and noun.thing and (part := self._part(noun.thing, "grasp")):
             return held(noun, part)
-        tool = self.reached_for()
         if not tool and any(n.definite and not n.pronoun for n in self._own_nouns if not n.part and not n.generic):
             return self._guess()
         if tool and (part := self._part(tool[0], "grasp")):

@@ -50,7 +50,7 @@ about after again ahead am apart are as aside away be because been before being 
 each for go goes going gone had has have having here him how if just like liked likes made make makes me meanwhile meant
 need needed needs now once other ought out please same shall she since so soon suitable supposed than there therefore
 together too until up upon us very want wanted wants well when where wherever whether while whose why will without yes
-yet your really around able ready
+yet your really around able ready touch
 """
 )
 
@@ -110,9 +110,10 @@ def nouns(words: list[str], in_verb: set[int], know: Knowledge) -> list[Noun]:
     index = 0
     while index < len(words):
         word = words[index]
-        if word in _SOME and words[index + 1 : index + 2] == ["of"]:  # "on one of the boards"
-            index += 2
-        elif word in _MINE and words[index + 1 : index + 2] and words[index + 1] in _OF_BODIES:  # "in my mouth"
+        after = words[index + 1] if index + 1 < len(words) else "."
+        if (word in _SOME and after == "of") or (
+            word in _MINE and after in _OF_BODIES
+        ):  # "one of the lids", "my mouth"
             index += 2
         elif index in in_verb or word in MARKS:
             role, index = "object", index + 1
