@@ -32,10 +32,11 @@ class Absence(Situation):
         tools = named or ([usual[0]] if usual else [])
         if not tools or thing.key in {tool.key for tool in tools} or self.shown([noun_of(tool) for tool in tools]):
             return None
-        if not self.shown([noun]) and (named or tools[0].kind not in self.unlikely or thing.kind in self.unlikely):
-            return None
         near = (*(["open"] if "open" in verb.text.split() else []), *verb.actions, *self._instead(verb))
         part = next((part for action in near if (part := self._part(thing, action))), None)
+        alone = not named and not part and tools[0].kind in self.unlikely and thing.kind not in self.unlikely
+        if not self.shown([noun]) and not alone:
+            return None
         wide = (part for part in thing.parts if part.shape in ("whole", "body", "opening"))
         part = part or next(wide, thing.parts[0])
         return decision(noun, part, verb.actions[0], f"I see no {tools[0].key}, so this is about the {noun.name}.")
@@ -54,9 +55,8 @@ class Absence(Situation):
         place = next((n for n in self.reading.nouns if n.role == "goal" and n.thing and not n.owner), None)
         if not placed or place is None or place.thing is None:
             return None
-        away = all(noun.thing is None or noun.thing.kind in self.unlikely for noun in placed)
         destined = any(verb.base in _DESTINED for verb in self.reading.verbs)
-        if not self.shown([place]) and not destined and (place.thing.kind in self.unlikely or not away):
+        if not self.shown([place]) and not destined and any(noun.thing for noun in placed):
             return None
         parts = (self._part(place.thing, action) for action in self.know.instead["place"])
         part = next((part for part in parts if part), None)

@@ -321,7 +321,9 @@ class _Decider(Absence):
         goal = next((n for n in self.reading.nouns if n.pronoun and n.role == "goal"), None)
         if unknown or any(n.thing and n.role not in ("place", "goal") for n in self.reading.nouns):
             return None
-        if not self.seen and (self.reached_for() or self._asks_for_a_tool):
+        actions = {action for verb in self.reading.verbs for action in verb.actions}
+        fits = any(thing.part_for(action) for thing in self.seen for action in actions)
+        if not fits and (self.reached_for() or (self._asks_for_a_tool and not self.seen)):
             return None
         verbs = self._done_by_hand
         nouns, words = self.reading.nouns, self.reading.words

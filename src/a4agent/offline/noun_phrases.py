@@ -164,7 +164,7 @@ def _add(found: list[Noun], noun: Noun, role: Role) -> None:
             found[-1] = replace(last, owner=noun, thing=None, end=noun.end)
             return
         itself = last.thing is not None and last.thing.part_named(last.text) is not None  # a lever, a knob, a shelf
-        named = last.definite and noun.start == last.end + 1
+        named = last.definite and noun.thing is None and noun.start == last.end + 1
         if of and (itself or (named and not last.thing and not last.part and not last.pronoun)):
             found[-1] = replace(last, part=last.text, owner=noun, thing=None, end=noun.end)
             return
