@@ -331,11 +331,6 @@ class _Decider(Absence):
         points = any(n.pronoun or n.generic for n in nouns) or (not nouns and self._asks)
         if not (bare or emits or points):
             return None
-        sense = [action for word in self.reading.words for action in self._sense(word)]
-        if sense and not verbs:  # "where is it sharp?"
-            return self._of_anything(sense[0], sense[0])
-        if len(verbs) > 1 and verbs[0].actions[0] == "grasp" and not verbs[1].purpose and any(n.generic for n in nouns):
-            verbs = verbs[1:]
         for verb in verbs:
             actions = _actions_on(goal, verb) if goal else verb.actions
             if found := self._of_anything(actions[0], verb.base if actions == verb.actions else actions[0], actions):
@@ -398,8 +393,6 @@ class _Decider(Absence):
                     continue
                 if usual is None or not (by_hand or noun.role == "tool"):
                     continue
-                if noun.role == "place" and verb.actions[0] not in (*_UNDERGONE, "pour"):
-                    continue
                 part = "handle" if self.reading.holding else usual
                 why = f"I do not know this {noun.text}; most things have {with_article(part)} to {verb.base}."
                 return Decision(noun.name, part, why, verb.text, sure=False)
@@ -415,8 +408,6 @@ class _Decider(Absence):
     def _working_end(self) -> Decision | None:
         """The end that does the job, where nothing is known about the job: "which end goes down?"."""
         asked = next((noun for noun in self.reading.nouns if noun.generic), None)
-        if asked is None and self.seen and self._asks and self.reading.verbs and not self.reading.nouns:
-            asked = Noun("object", 0, 0, pronoun=True)  # "what goes in my mouth?"
         if asked is None or (asked.owner and self._is_idea(asked.owner)):
             return None
         if self.seen and (asked.owner is None or asked.owner.pronoun):
