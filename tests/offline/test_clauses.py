@@ -25,6 +25,7 @@ VERBS = knowledge().action_index
         ("which part of the spatula can support an egg", "which part of the spatula could support an egg"),
         ("take the red and white mug", "take the red mug"),
         ("nimm die tasse", "take the cup"),
+        ("turn the knob to the left", "turn the knob"),
         ("Show me where to pull.", "where to pull."),
     ],
 )

@@ -109,6 +109,7 @@ def test_a_thing_that_is_not_in_the_picture_is_named_as_missing() -> None:
     ("instruction", "seen", "phrase", "sure"),
     [
         ("which part of the square nut goes around the peg?", (), "the working end of the square nut", False),
+        ("put the peg in the hole", (), "the handle of the peg", False),
         ("which end goes down?", ("shovel",), "the blade of the shovel", True),
         ("which part of the argument is weak?", (), "", True),
         ("pull the frill of the zorble", (), "the frill of the zorble", True),

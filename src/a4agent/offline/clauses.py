@@ -68,6 +68,10 @@ _POLITE = re.compile(
         )
     )
 )
+_WHICH_WAY = re.compile(
+    r"\b((?:turn|twist|rotate|slide|push|move|shift|swing|roll)\b[^.;:!?]*?)"
+    r" (?:to|towards?) (?:the|your) (?:left|right)\b"
+)
 _TWO_COLOURS = re.compile(rf"\b({'|'.join(COLOURS)}) and (?:{'|'.join(COLOURS)})\b")
 _GIVEN = re.compile(
     rf"\b(?:could|may|might|can) {_I} have\b"
@@ -98,7 +102,7 @@ def plain(instruction: str) -> str | None:
         return None
     text = corrected(_GIVEN.sub("give me", _modal(english)))
     text = _TWO_COLOURS.sub(r"\1", _modal(text))
-    return _tidy(_POLITE.sub(" ", text))
+    return _tidy(_POLITE.sub(" ", _WHICH_WAY.sub(r"\1", text)))
 
 
 def _modal(text: str) -> str:

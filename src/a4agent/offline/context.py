@@ -57,11 +57,15 @@ def _asked(situation: S, start: int, end: int) -> S:
     condition = _CONDITION.search(text, start, end)
     question = parse(text[start : condition.start() if condition else end])
     told = parse(f"{text[:start]} . {condition[0] if condition else ''} . {text[end:]}")
+    if text[:end].rstrip("?!. ").endswith(" with"):  # "what do I cut it with?" asks for a tool
+        return situation
     says_how = bool(question.verbs) or question.holding or any(noun.generic for noun in question.nouns)
     if any(_is_named(noun) for noun in question.nouns) or not told.nouns or not says_how:
         return situation
     named = [noun for noun in told.nouns if noun.thing and not (question.placing and noun.role == "object")]
     named = [noun for noun in named if told.words[noun.start - 1 : noun.start] != ("for",)]  # "water for the bath"
+    if any(noun.pronoun and noun.role == "object" for noun in told.nouns):  # "carry it to the desk"
+        named = [noun for noun in named if noun.role == "object"]
     inside = bool(_HERE.search(text))
     if _IT_IS_FOR.search(text):  # "this covers the box": it is not the box
         others = {noun.thing.key for noun in named if noun.thing}
@@ -104,7 +108,8 @@ def _is_named(noun: Noun) -> bool:
     """Whether a noun of a question says what it is about."""
     if noun.owner:
         return not noun.owner.pronoun
-    return not (noun.pronoun or noun.generic or (noun.role in ("place", "goal") and not noun.part))
+    place = noun.role in ("place", "goal") and (noun.thing or not noun.part)
+    return not (noun.pronoun or noun.generic or place)
 
 
 def _fetches(reading: Reading) -> bool:

@@ -152,8 +152,9 @@ class _Decider(Absence):
         if noun.role == "aim":
             return True
         if noun.role in ("place", "goal"):
+            unknown = noun.role == "place"
             return self.reading.placing or any(
-                n.thing is None or n.thing.part_named(noun.part or "") for n in before if not n.part
+                n.thing.part_named(noun.part or "") if n.thing else unknown for n in before if not n.part
             )
         if not self.reading.verbs and len(self.reading.nouns) == 1:  # "the lid, please"
             return len(self.reading.words) < 7
@@ -408,6 +409,8 @@ class _Decider(Absence):
     def _working_end(self) -> Decision | None:
         """The end that does the job, where nothing is known about the job: "which end goes down?"."""
         asked = next((noun for noun in self.reading.nouns if noun.generic), None)
+        if asked is None and self.seen and self._asks and self.reading.verbs and not self._done_by_hand:
+            asked = Noun("object", 0, 0, pronoun=True)  # "what goes into it?"
         if asked is None or (asked.owner and self._is_idea(asked.owner)):
             return None
         if self.seen and (asked.owner is None or asked.owner.pronoun):

@@ -94,8 +94,9 @@ def parse(text: str) -> Reading:
     ]
     to_put = bool(_WHERE_TO_PUT.search(main)) and not _HOLD.search(main)
     if to_put:
-        verbs = [replace(verb, base="fill", actions=("contain", "support")) for verb in verbs]
-        verbs = verbs or [Verb("put", "put", ("contain", "support"), 0, 0)]
+        tools = [noun.thing for noun in nouns(words, _places(verbs), know) if noun.thing and noun.role == "object"]
+        to = (*(action for tool in tools for action in tool.uses), "contain", "support")  # a key goes to the lock
+        verbs = [replace(verb, base="fill", actions=to) for verb in verbs] or [Verb("put", "put", to, 0, 0)]
     named = nouns(words, _places(verbs), know)
     if to_put:
         named = [noun for noun in named if noun.role != "object" or noun.pronoun]

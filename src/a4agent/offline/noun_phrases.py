@@ -228,6 +228,8 @@ def _named(
     if not run:
         return None
     words = [word.removesuffix("'s").removesuffix("'") for word in run] if possessive else list(run)
+    if asked and words[0] in GENERIC_PARTS and len(words) == 2 and words[1].endswith("s"):  # "which end bites"
+        return Noun(words[0], at, at + 2, definite=True)
     if asked and words[-1] in GENERIC_PARTS:
         return Noun(" ".join(words), at, at + len(words), definite=True)
     things = know.find_objects(words)

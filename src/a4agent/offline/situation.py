@@ -18,7 +18,7 @@ _MOVED = frozenset(["press", "pull", "push", "turn"])
 def _in_third_person(verb: Verb) -> bool:
     """Whether a part does it and not a hand: "the part that picks up"."""
     said, base = verb.text.split()[0], verb.base.split()[0]
-    return said in (f"{base}s", f"{base}es")
+    return said.endswith("s") and not base.endswith("s")
 
 
 @dataclass(frozen=True)
