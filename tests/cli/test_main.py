@@ -53,7 +53,7 @@ def test_an_interrupt_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
     def interrupted() -> list[str]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("a4agent.benchmarks.registry.names", interrupted)
+    monkeypatch.setattr("a4agent.cli.data.names", interrupted)
     with pytest.raises(SystemExit) as ended:
         main(["data", "list"])
     assert ended.value.code == 130

@@ -6,10 +6,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
+from a4agent.agent import A4Agent
 from a4agent.cli import common
 from a4agent.cli.common import (
     CacheOption,
@@ -21,15 +23,17 @@ from a4agent.cli.common import (
     opened,
 )
 from a4agent.cli.score import LeakOption, leaks_of, show_scores
+from a4agent.config import Settings
 from a4agent.errors import A4Error, BudgetExceeded, ConfigError, UnknownNameError
-
-if TYPE_CHECKING:
-    from a4agent.agent import A4Agent
-    from a4agent.config import Settings
-    from a4agent.runs.bench import Bench, Progress
-    from a4agent.runs.published import System
-    from a4agent.runs.store import Run
-    from a4agent.types import Status
+from a4agent.runs import scores
+from a4agent.runs.bench import Bench, Progress, Selection
+from a4agent.runs.manifest import LEAKS
+from a4agent.runs.oracle import oracle_of
+from a4agent.runs.published import System, load_suite
+from a4agent.runs.store import STATUSES, Run, read_run
+from a4agent.runs.tables import fill
+from a4agent.runs.trust import trust, with_accept
+from a4agent.types import Status
 
 SHOWN = 5
 PLAIN_SECONDS = 30.0
@@ -80,12 +84,6 @@ def bench(
     Each sample is kept in the run folder as soon as it is scored, so a run may be stopped at any time. The same
     command then does what is missing.
     """
-    from a4agent.runs import scores
-    from a4agent.runs.bench import Bench, Selection
-    from a4agent.runs.oracle import oracle_of
-    from a4agent.runs.published import load_suite
-    from a4agent.runs.tables import fill
-
     limits = {
         "engine__cache": cache,
         "engine__max_cost": max_cost,
@@ -157,10 +155,6 @@ def _run_all(systems: Sequence[Sequence[Bench]], as_json: bool) -> tuple[list[Ru
 
 def _read_again(works: Sequence[Bench], accept: float, as_json: bool) -> list[Run]:
     """The existing runs, with their answers accepted or abstained at another threshold."""
-    from a4agent.agent import A4Agent
-    from a4agent.runs.store import read_run
-    from a4agent.runs.trust import with_accept
-
     runs: list[Run] = []
     for work in works:
         with A4Agent.from_settings(work.settings) as agent:
@@ -187,8 +181,6 @@ def _within(work: Bench, cost: float, seconds: float) -> Bench:
 
 def _agent(work: Bench) -> A4Agent:
     """The agent to run. With Ray the models run elsewhere: the experts here only describe themselves."""
-    from a4agent.agent import A4Agent
-
     return A4Agent.from_settings(work.settings) if work.engine == "ray" else common.build_agent(work.settings)
 
 
@@ -203,9 +195,6 @@ class _Ended(NamedTuple):
 
 def _run(work: Bench, agent: A4Agent, as_json: bool) -> _Ended:
     """Run one configuration on one benchmark and print its scores."""
-    from a4agent.runs import scores
-    from a4agent.runs.store import read_run
-
     title = f"{work.benchmark.name}, {work.label or work.settings.name}"
     stopped: BaseException | None = None
     with work.open(agent) as session:
@@ -250,10 +239,6 @@ def _show_calls(progress: Progress) -> None:
 
 def _show_scores(run: Run, accept: float | None = None) -> None:
     """The scores of a run, on stdout."""
-    from a4agent.runs import scores
-    from a4agent.runs.manifest import LEAKS
-    from a4agent.runs.trust import trust
-
     found = scores.score(run)
     part = "" if run.complete else f", {len(run.records)} of {run.planned} samples"
     print(f"{run.manifest.label} on {run.manifest.identity['benchmark']}, protocol {found.protocol}{part}")
@@ -274,8 +259,6 @@ def _settings_of(system: System, sets: list[str] | None, limits: dict[str, Any])
 
 def _statuses(text: str | None) -> tuple[Status, ...]:
     """The statuses that `--retry` names."""
-    from a4agent.runs.store import STATUSES
-
     names = [name.strip() for name in (text or "").split(",") if name.strip()]
     for name in names:
         if name not in STATUSES:
@@ -287,8 +270,6 @@ class Display:
     """Shows progress on stderr: a bar in a terminal, a line every half minute in a log."""
 
     def __init__(self, title: str, progress: Progress) -> None:
-        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
-
         self._title = title
         self._started = self._last_line = time.monotonic()
         # The title is on the line above, so that 80 columns have room for the figures.

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from a4agent.cli import common
+from a4agent.engine.cache import FORMAT, Cache, CacheInfo, default_folder
 from a4agent.errors import InputError
-
-if TYPE_CHECKING:
-    from a4agent.engine.cache import CacheInfo
 
 app = typer.Typer(help="Show or clear the answers kept on disk.", no_args_is_help=True)
 
@@ -26,8 +24,6 @@ def info(
     as_json: common.JsonOption = False,
 ) -> None:
     """Say where the cache is and how much it holds."""
-    from a4agent.engine.cache import Cache, CacheInfo
-
     place, limit_gb = _place(folder)
     found = Cache(place).info() if _is_cache(place) else CacheInfo(place, 0, 0)
     if as_json:
@@ -43,8 +39,6 @@ def clear(
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
 ) -> None:
     """Remove all answers; the next run asks for them again."""
-    from a4agent.engine.cache import Cache
-
     place, _ = _place(folder)
     if not _is_cache(place):
         print(f"{place}: nothing to remove")
@@ -57,16 +51,12 @@ def clear(
 
 def _place(folder: Path | None) -> tuple[Path, float]:
     """The cache folder and its limit in GB."""
-    from a4agent.engine.cache import default_folder
-
     engine = common.settings(None).engine
     return folder or engine.cache_dir or default_folder(), engine.cache_gb
 
 
 def _is_cache(place: Path) -> bool:
     """Whether answers were ever kept in `place`, without creating it."""
-    from a4agent.engine.cache import FORMAT
-
     return (place / FORMAT).is_dir()
 
 

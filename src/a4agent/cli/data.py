@@ -5,17 +5,19 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
+from a4agent.benchmarks.base import Benchmark
+from a4agent.benchmarks.check import DataCheck
+from a4agent.benchmarks.check import check as check_all
+from a4agent.benchmarks.overlap import hash_images, shared
+from a4agent.benchmarks.registry import factory_of, maker_of, names, options_of
 from a4agent.cli import common
 from a4agent.cli.common import JsonOption, NameArgument, OptionsOption, opened
 from a4agent.errors import ConfigError, InputError
-
-if TYPE_CHECKING:
-    from a4agent.benchmarks.base import Benchmark
-    from a4agent.benchmarks.check import DataCheck
+from a4agent.imaging.load import find_images, load_image
 
 app = typer.Typer(no_args_is_help=True, help="Check benchmark data, list what it asks, or make some.")
 PathArgument = Annotated[Path, typer.Argument(metavar="PATH", help="The folder of the dataset.")]
@@ -25,8 +27,6 @@ SHOWN = 10
 @app.command("list")
 def list_benchmarks(as_json: JsonOption = False) -> None:
     """List the benchmarks that can be read."""
-    from a4agent.benchmarks.registry import factory_of, names, options_of
-
     found: list[dict[str, Any]] = []
     for name in names():
         try:
@@ -51,8 +51,6 @@ def check(
     as_json: JsonOption = False,
 ) -> None:
     """Open every picture and mask of a dataset: what is missing, broken or empty, and where to get it."""
-    from a4agent.benchmarks.check import check as check_all
-
     data = opened(benchmark, path, option)
     with common.bar() as progress:
         task = progress.add_task("reading", total=len(data))
@@ -77,8 +75,6 @@ def overlap(
 
     Use it before you trust a number: a memory or template bank that holds test images makes scores meaningless.
     """
-    from a4agent.benchmarks.overlap import hash_images, shared
-
     hashes: list[dict[str, int]] = []
     with common.bar() as progress:
         for source in (left, right):
@@ -100,8 +96,6 @@ def overlap(
 
 def _images_of(source: str) -> dict[str, Any]:
     """The images of a folder, or of a benchmark given as NAME=PATH, each once."""
-    from a4agent.imaging.load import find_images
-
     benchmark, equals, path = source.partition("=")
     if equals and not Path(source).exists():
         data = opened(benchmark, Path(path))
@@ -132,8 +126,6 @@ def queries(
 
 
 def _written(image: Any, identity: str, folder: Path | None) -> Path:
-    from a4agent.imaging.load import load_image
-
     if folder is None:
         raise InputError("this dataset keeps its pictures inside a table: give a folder for them with --images FOLDER")
     folder.mkdir(parents=True, exist_ok=True)
@@ -158,8 +150,6 @@ def make(
 
     Needs the extra `sim` and three packages of assets; the error says how to get what is missing.
     """
-    from a4agent.benchmarks.registry import maker_of
-
     with common.bar() as progress:
         task = progress.add_task("rendering", total=n)
         folder = maker_of(benchmark)(

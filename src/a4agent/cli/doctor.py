@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
+from rich.markup import escape
+
 from a4agent import __version__
 from a4agent.benchmarks import registry
 from a4agent.cli import common
@@ -128,8 +130,6 @@ def _accelerators() -> list[str]:
 
 
 def _show(report: dict[str, Any]) -> None:
-    from rich.markup import escape
-
     console = common.output()
     good, bad = "[green]✓[/]", "[yellow]–[/]"
     console.print(f"a4agent {report['a4agent']}, Python {report['python']}, {escape(report['platform'])}")

@@ -5,19 +5,20 @@ from __future__ import annotations
 import shutil
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.markup import escape
 
+from a4agent import requirements
 from a4agent.cli import common
 from a4agent.cli.common import JsonOption, ProfileOption, SetOption, messages, say
-from a4agent.errors import ModelFilesError, ResourceError
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from a4agent.requirements import Need
-
+from a4agent.config import ExpertSettings, profile_names
+from a4agent.errors import ModelFilesError, ResourceError, UnknownNameError
+from a4agent.experts import hub
+from a4agent.experts.checkpoint_files import damage_in
+from a4agent.requirements import Need
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -32,8 +33,6 @@ def list_models(
     names: NamesArgument = None, profile: ProfileOption = None, sets: SetOption = None, as_json: JsonOption = False
 ) -> None:
     """Say which models there are or a profile needs: size, licence, gating, and what is on this disk."""
-    from a4agent import requirements
-
     chosen = _with_profile(names, profile)
     found = _needs(chosen, sets) if chosen else [requirements.need(name) for name in requirements.catalogue()]
     if as_json:
@@ -53,8 +52,6 @@ def pull(
 
     Prints sizes, licences and gating first. HF_HOME moves the cache, HF_TOKEN opens gated models.
     """
-    from a4agent.experts import hub
-
     needs = _named(_with_profile(names, profile), sets)
     missing = [need for need in needs if need.path is None]
     for need in needs:
@@ -83,10 +80,6 @@ def verify(
     quick: Annotated[bool, typer.Option("--quick", help="Look at sizes and headers only, not at every byte.")] = False,
 ) -> None:
     """Check that models on this disk are whole; no network. Exit code 1 if one is not."""
-    from rich.markup import escape
-
-    from a4agent.experts.checkpoint_files import damage_in
-
     damaged = 0
     for need in _named(_with_profile(names, profile), sets):
         if need.path is None:
@@ -132,10 +125,6 @@ def _needs(names: list[str], sets: list[str] | None) -> list[Need]:
 
 
 def _needs_of(name: str, sets: list[str] | None) -> list[Need]:
-    from a4agent import requirements
-    from a4agent.config import ExpertSettings, profile_names
-    from a4agent.errors import UnknownNameError
-
     if name in profile_names() or name.endswith(".toml"):
         return requirements.needs(common.settings(name, sets).expert_specs())
     if ":" in name and "/" not in name.partition(":")[0] and "\\" not in name:
@@ -164,8 +153,6 @@ def _as_dict(need: Need) -> dict[str, Any]:
 
 
 def _show(needs: list[Need], *, everything: bool) -> None:
-    from rich.markup import escape
-
     console = common.output()
     if not needs:
         console.print("no models to fetch: it works with APIs or with what is installed")
@@ -196,8 +183,6 @@ def _advise(console: Console, needs: list[Need]) -> None:
 
 
 def _check_room(needed: int) -> None:
-    from a4agent.experts import hub
-
     folder = hub.cache_folder()
     existing = next(place for place in (folder, *folder.parents) if place.exists())
     free = shutil.disk_usage(existing).free

@@ -6,19 +6,23 @@ import json
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+from rich.text import Text
 
+from a4agent import engine
+from a4agent.acting.lifting import Intrinsics, read_depth
+from a4agent.acting.plan import ActionPlan, draw_plan, plan_action
 from a4agent.cli import common
 from a4agent.cli.common import CacheOption, CostOption, ProfileOption, SetOption, say
 from a4agent.cli.sources import Source, find_sources, free_folder, name_results, split_arguments
+from a4agent.config import Settings
 from a4agent.errors import InputError
-
-if TYPE_CHECKING:
-    from a4agent.acting.plan import ActionPlan
-    from a4agent.config import Settings
-    from a4agent.types import Affordance, Trace
+from a4agent.files import replace_file
+from a4agent.imaging.save import make_folder
+from a4agent.types import Affordance, Query, Trace
 
 
 def predict(
@@ -50,8 +54,6 @@ def predict(
     With --depth and --camera also action.json and action.png: contact points in metres and grasps for a gripper.
     Exits with 1 if an image failed or its answer is not certain enough.
     """
-    from a4agent.imaging.save import make_folder
-
     if (depth is None) != (camera is None):
         raise InputError("--depth and --camera go together: the depth image and the camera it was taken with")
 
@@ -81,10 +83,6 @@ class Sensor:
         Raises:
             InputError: a file cannot be read, or does not fit the image.
         """
-        from a4agent.acting.lifting import Intrinsics, read_depth
-        from a4agent.acting.plan import draw_plan, plan_action
-        from a4agent.files import replace_file
-
         camera = Intrinsics.read(self.camera)
         plan = plan_action(affordance, depth=read_depth(self.depth, affordance.size_wh, self.scale), camera=camera)
         replace_file(folder / "action.json", json.dumps(plan.to_dict(), indent=1).encode())
@@ -102,12 +100,6 @@ def _run(
     sensor: Sensor | None = None,
 ) -> int:
     """Predict, save and print; returns how many samples were not accepted."""
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-    from rich.text import Text
-
-    from a4agent import engine
-    from a4agent.types import Query
-
     queries = (Query(name, source.image, instruction) for name, source in samples.items())
     statuses: Counter[str] = Counter()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -145,8 +137,6 @@ def _run(
 
 def _show(affordance: Affordance, folder: Path | None, plan: ActionPlan | None = None) -> None:
     """Print an answer; `folder` holds its files, None if they could not be written."""
-    from rich.text import Text
-
     console = common.output()
     answered = affordance.status in ("ok", "abstained")
     rows: list[tuple[str, str]] = [

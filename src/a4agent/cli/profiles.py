@@ -6,6 +6,9 @@ import re
 from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
 from a4agent import requirements
 from a4agent.cli import common
@@ -58,9 +61,6 @@ def downloads(settings: Settings) -> list[str]:
 
 
 def _show_all(found: dict[str, Settings]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("")
     table.add_column("profile", no_wrap=True)
@@ -78,8 +78,6 @@ def _show_all(found: dict[str, Settings]) -> None:
 
 
 def _show_one(name: str, settings: Settings) -> None:
-    from rich.markup import escape
-
     console = common.output()
     info = settings.profile
     console.print(f"[bold]{name}[/]  {escape(info.summary)}")

@@ -5,16 +5,20 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from a4agent.cli import common
 from a4agent.errors import ConfigError
-
-if TYPE_CHECKING:
-    from a4agent.metrics import Difference
-    from a4agent.runs.compare import Loss, RunPair
+from a4agent.metrics import Difference
+from a4agent.runs import scores
+from a4agent.runs.calibrate import fit
+from a4agent.runs.compare import Loss, RunPair, losses, to_dict
+from a4agent.runs.compare import compare as compare_two
+from a4agent.runs.report import write_comparison, write_report
+from a4agent.runs.store import read_run, write_atomically
+from a4agent.runs.tables import fill
 
 SHOWN = 12
 RunsArgument = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run folders that `a4 bench` wrote.")]
@@ -30,9 +34,6 @@ def report(
 
     It opens without a network, and shows the scores, what fails, and every sample.
     """
-    from a4agent.runs.report import write_report
-    from a4agent.runs.store import read_run
-
     _announce(write_report(read_run(run), out), show)
 
 
@@ -50,10 +51,6 @@ def compare(
     Each is compared with the first one. Runs that differ only in their oracle also make a table of what
     each stage costs.
     """
-    from a4agent.runs.compare import compare as compare_two
-    from a4agent.runs.compare import losses, to_dict
-    from a4agent.runs.store import read_run
-
     if len(runs) < 2:
         raise ConfigError("a comparison takes two runs or more: a4 compare RUN RUN...")
     if html and len(runs) > 2:
@@ -62,8 +59,6 @@ def compare(
     pairs = [compare_two(opened[0], run, protocol) for run in opened[1:]]
     tables = losses(opened, protocol)
     if html:
-        from a4agent.runs.report import write_comparison
-
         _announce(write_comparison(pairs[0], html), show)
     elif as_json:
         common.print_json(to_dict(pairs, tables))
@@ -87,9 +82,6 @@ def tables(
 
     As Markdown, LaTeX or CSV.
     """
-    from a4agent.runs.store import read_run
-    from a4agent.runs.tables import fill
-
     print("\n".join(one.render(form) for one in fill([read_run(run) for run in runs], table)), end="")
 
 
@@ -105,9 +97,6 @@ def calibrate(
     The file turns the checks of an answer into the probability that its mask is right (IoU of 0.5 or more). Use it
     with `verifier.calibration = "FILE"`.
     """
-    from a4agent.runs.calibrate import fit
-    from a4agent.runs.store import read_run, write_atomically
-
     found = fit([read_run(run) for run in runs], kind)
     write_atomically(out, (json.dumps(found.to_dict(), indent=1) + "\n").encode())
     card = found.card
@@ -128,8 +117,6 @@ def _announce(path: Path, show: bool) -> None:
 
 
 def _show_pair(pair: RunPair) -> None:
-    from a4agent.runs import scores
-
     result = pair.result
     print(f"{pair.first.folder}  ->  {pair.second.folder}")
     print(

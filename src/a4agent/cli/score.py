@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from a4agent import metrics
+from a4agent.benchmarks.base import Benchmark
+from a4agent.benchmarks.predictions import Predictions
 from a4agent.cli import common
 from a4agent.cli.common import DataOption, JsonOption, NameArgument, OptionsOption, ProtocolOption, opened
 from a4agent.errors import ConfigError, DataError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from a4agent.benchmarks.base import Benchmark
-    from a4agent.benchmarks.predictions import Predictions
-    from a4agent.metrics import Scores
-    from a4agent.runs.external import ScoredSample
-    from a4agent.runs.scores import Mean
-    from a4agent.runs.trust import Trust
+from a4agent.metrics import MEASURES, Scores
+from a4agent.runs.external import MISSING, ScoredSample, outcomes_of, score_predictions, write_run
+from a4agent.runs.manifest import LEAKS
+from a4agent.runs.scores import Mean, measure_name
+from a4agent.runs.trust import MEASURES as FIGURES
+from a4agent.runs.trust import Trust
 
 SHOWN = 5
 LeakOption = Annotated[
@@ -59,10 +58,6 @@ def score(
     A sample without a readable mask has failed. `a4 data queries` prints the ids, pictures and
     instructions to give to that system.
     """
-    from a4agent import metrics
-    from a4agent.benchmarks.predictions import Predictions
-    from a4agent.runs.external import outcomes_of, score_predictions, write_run
-
     opened_data = opened(benchmark, data, option, empty=False)
     protocol = protocol or opened_data.protocol
     metrics.protocol_of(protocol)
@@ -108,8 +103,6 @@ def leaks_of(texts: Sequence[str] | None) -> dict[str, str]:
     Raises:
         ConfigError: not NAME=yes or NAME=no with a known name.
     """
-    from a4agent.runs.manifest import LEAKS
-
     found: dict[str, str] = {}
     for text in texts or ():
         name, _, answer = text.partition("=")
@@ -135,8 +128,6 @@ def _check_names(data: Benchmark, masks: Predictions) -> None:
 
 def _report_problems(outcomes: list[ScoredSample], masks: Predictions) -> None:
     """Warn of missing, stray and resized predictions, which a wrong file would have."""
-    from a4agent.runs.external import MISSING
-
     strays = masks.strays(outcome.id for outcome in outcomes)
     missing = [outcome.id for outcome in outcomes if outcome.problem == MISSING]
     resized = [outcome.id for outcome in outcomes if outcome.row.resized]
@@ -163,9 +154,6 @@ def show_scores(
     trust: Trust | None = None,
 ) -> None:
     """Print the counts, each measure in percent with its 95 % interval, then a row per group."""
-    from a4agent.metrics import MEASURES
-    from a4agent.runs.scores import measure_name
-
     print(
         f"n {whole.n}  scored {whole.n_scored}  failed {whole.n_failed}  empty truth {whole.n_empty_truth}  "
         f"empty prediction {whole.n_empty_prediction}  resized {whole.n_resized}"
@@ -186,11 +174,9 @@ def show_scores(
 
 
 def _show_trust(found: Trust) -> None:
-    from a4agent.runs.trust import MEASURES
-
     at = "" if found.accept is None else f", accepted from {found.accept:g}"
     print(f"confidence of {found.n_rated} of {found.n} answers{at}, {found.n_abstained} abstained")
-    for name, label in MEASURES.items():
+    for name, label in FIGURES.items():
         low, high = found.intervals[name]
         print(f"{label:<15}{percent(found.values[name])}   95% {percent(low)} to {percent(high)}")
 

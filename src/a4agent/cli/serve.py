@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
+from a4agent.agent import A4Agent
 from a4agent.cli import common
+from a4agent.config import Settings
 from a4agent.errors import ConfigError, require
-
-if TYPE_CHECKING:
-    from a4agent.agent import A4Agent
-    from a4agent.config import Settings
+from a4agent.requirements import check_settings
 
 
 def serve(
@@ -46,8 +45,6 @@ def serve(
     """
     for module in ("fastapi", "uvicorn", "python_multipart", "prometheus_client"):
         require(module, extra="serve")
-    from a4agent.agent import A4Agent
-    from a4agent.requirements import check_settings
     from a4agent.serve import admission, http_server
     from a4agent.serve.admission import Limits
     from a4agent.serve.api import create_app

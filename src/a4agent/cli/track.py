@@ -6,7 +6,7 @@ import json
 import time
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -14,10 +14,14 @@ from a4agent.cli import common
 from a4agent.cli.common import CacheOption, CostOption, ProfileOption, SetOption, say
 from a4agent.cli.sources import free_folder
 from a4agent.errors import InputError
-
-if TYPE_CHECKING:
-    from a4agent.types import Affordance
-    from a4agent.video.track import FoundFrame
+from a4agent.imaging.masks import encode_rle
+from a4agent.imaging.save import make_folder
+from a4agent.types import Affordance
+from a4agent.video.annotate import annotate as label
+from a4agent.video.frames import OverlayVideo, open_frames
+from a4agent.video.track import FoundFrame
+from a4agent.video.track import track as follow
+from a4agent.video.trackers import create
 
 SourceArgument = Annotated[str, typer.Argument(metavar="VIDEO", help="A video file, a folder of images, or camera:0.")]
 InstructionArgument = Annotated[str, typer.Argument(metavar="INSTRUCTION", help="What to do, in quotes.")]
@@ -42,11 +46,6 @@ def track(
     Writes OUT/overlay.mp4 and OUT/frames.jsonl, a line for each frame. The part is grounded in the first frame, and
     again whenever the tracker loses it.
     """
-    from a4agent.imaging.save import make_folder
-    from a4agent.video.frames import OverlayVideo, open_frames
-    from a4agent.video.track import track as follow
-    from a4agent.video.trackers import create
-
     settings = common.settings(profile, sets)
     origins: Counter[str] = Counter()
     grounded: list[int] = []
@@ -94,8 +93,6 @@ def _frames(count: int) -> str:
 
 
 def _record(found: FoundFrame) -> dict[str, object]:
-    from a4agent.imaging.masks import encode_rle
-
     asked = found.affordance
     return {
         "frame": found.index,
@@ -122,9 +119,6 @@ def annotate(
     Writes OUT/annotations.parquet and OUT/coco.json: masks, boxes, points and confidence. A run that was stopped
     continues with the missing frames.
     """
-    from a4agent.video.annotate import annotate as label
-    from a4agent.video.frames import open_frames
-
     if source.startswith("camera:"):
         raise InputError("a camera has no end; record a video first, or use `a4 track`")
     settings = common.settings(profile, sets, engine__cache=cache, engine__max_cost=max_cost)
