@@ -10,12 +10,15 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
+from PIL.Image import Image
 
 from a4agent import __version__, engine
+from a4agent.config import Settings, load_settings
 from a4agent.errors import A4Error, AnswerError, BudgetExceeded, InputError, ProviderError
+from a4agent.experts import registry
 from a4agent.imaging.load import MAX_PIXELS, load_image
 from a4agent.protocols import Expert, Segmenter
 from a4agent.stages.calibration import load_calibration
@@ -26,11 +29,6 @@ from a4agent.stages.spotter import Spotter
 from a4agent.stages.thinker import Thinker
 from a4agent.stages.verifier import Verdict, Verifier
 from a4agent.types import Affordance, Given, Query, Region, Status, Trace
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
-
-    from a4agent.config import Settings
 
 StageName = Literal["imagination", "target", "detection", "affordance"]
 OnStage = Callable[[StageName, Any], None]
@@ -60,8 +58,6 @@ class A4Agent:
         Raises:
             ConfigError: unknown profile, setting or expert; the message suggests the nearest.
         """
-        from a4agent.config import load_settings
-
         return cls.from_settings(load_settings(profile, overrides))
 
     @classmethod
@@ -71,8 +67,6 @@ class A4Agent:
         Raises:
             ConfigError: unknown expert or setting; the message suggests the nearest.
         """
-        from a4agent.experts import registry
-
         built: dict[str, Any] = dict(registry.build(settings.expert_specs()) if experts is None else experts)
         d, t, s, v = settings.dreamer, settings.thinker, settings.spotter, settings.verifier
         dreamer = d and Dreamer(

@@ -13,6 +13,8 @@ from importlib.resources import files as package_files
 from pathlib import Path
 from typing import Any
 
+from platformdirs import user_cache_path
+
 from a4agent.errors import ConfigError
 
 toml: Any = import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
@@ -22,8 +24,6 @@ DRAFT = re.compile(r"\.[0-9a-f]{32}\.tmp")
 
 def system_cache() -> Path:
     """This package's folder in the system's place for caches; it need not exist."""
-    from platformdirs import user_cache_path
-
     return user_cache_path("a4agent", appauthor=False)
 
 

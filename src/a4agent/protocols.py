@@ -17,15 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
+from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
+from PIL.Image import Image
 
 from a4agent.errors import A4Error
 from a4agent.types import Affordance, Detection, Given, Trace, Usage, no_points
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 Role = Literal["vlm", "editor", "detector", "segmenter"]
 VERBS: dict[Role, str] = {"vlm": "chat", "editor": "edit", "detector": "detect", "segmenter": "segment"}

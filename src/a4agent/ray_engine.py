@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
+from PIL import Image
 
 from a4agent import engine
 from a4agent.agent import A4Agent
@@ -244,7 +245,6 @@ def _remote_experts(ray: Any, handles: list[Any], batch: int) -> dict[str, Actor
 
 def send_pictures_as_arrays() -> None:
     """Let this process hand pictures to Ray as arrays, which travel through shared memory: five times as fast."""
-    from PIL import Image
 
     def to_array(picture: Image.Image) -> np.ndarray:
         return np.asarray(picture if picture.mode in ("L", "RGB", "RGBA") else picture.convert("RGB"))

@@ -21,19 +21,18 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
+from PIL import Image as Pillow
+from PIL.Image import Image
 
 from a4agent.errors import DataError, InputError
 from a4agent.imaging import overlay
 from a4agent.imaging.masks import decode_rle, encode_rle, tight_box
 from a4agent.imaging.save import write_answer
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 Status = Literal["ok", "abstained", "empty", "invalid", "error"]
 """ok: a mask was found and, if there is a Verifier, accepted; abstained: the mask is a guess whose confidence is below
@@ -265,8 +264,6 @@ class Affordance:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the pictures, ready for `json.dumps`; masks as COCO RLE."""
-        from dataclasses import asdict
-
         return {
             "schema": SCHEMA,
             "id": self.id,
@@ -382,8 +379,6 @@ class Affordance:
         Raises:
             InputError: the folder is not writable.
         """
-        from PIL import Image as Pillow
-
         pictures: dict[str, Image] = {}
         if self.size_wh[0] and self.size_wh[1]:
             pictures["mask.png"] = Pillow.fromarray(self.mask.astype(np.uint8) * 255)

@@ -168,8 +168,6 @@ def test_a_lost_picture_is_named(set_path: Path) -> None:
 def test_the_default_set_is_made_once(
     simulator: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    from a4agent.sim import make
-
     monkeypatch.setenv("A4_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(sim, "DEFAULT_N", 2)
     first = sim.create()
@@ -181,20 +179,18 @@ def test_the_default_set_is_made_once(
     def never(*_: object, **__: object) -> Path:
         raise AssertionError("made twice")
 
-    monkeypatch.setattr(make, "make_set", never)
+    monkeypatch.setattr(sim, "make_set", never)
     assert sim.create().fingerprint() == first.fingerprint()
 
 
 def test_a_default_set_that_was_broken_off_leaves_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from a4agent.sim import make
-
     def breaks_off(out: Path, **_: object) -> Path:
         out.mkdir()
         (out / "samples.jsonl").write_text("{")
         raise KeyboardInterrupt
 
     monkeypatch.setenv("A4_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(make, "make_set", breaks_off)
+    monkeypatch.setattr(sim, "make_set", breaks_off)
     with pytest.raises(KeyboardInterrupt):
         sim.create()
     assert not [path for path in (tmp_path / "sim").rglob("*") if path.is_file()]

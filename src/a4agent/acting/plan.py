@@ -9,17 +9,16 @@ draw_plan(photo, plan, camera)     the gripper drawn in
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from PIL import ImageDraw
+from PIL.Image import Image
 
 from a4agent.acting.contact import Contact, contact_points
 from a4agent.acting.grasps import Grasp, GripperSettings, find_grasps
 from a4agent.acting.lifting import Intrinsics, project
 from a4agent.types import Affordance
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 CONTACT, GRIPPER, HALO = (255, 61, 127), (0, 188, 212), (16, 18, 24)
 
@@ -94,8 +93,6 @@ def plan_action(
 
 def draw_plan(photo: Image, plan: ActionPlan, camera: Intrinsics, *, grasps: int = 3) -> Image:
     """The photograph with the best grasps as grippers (thick for the best) and the contacts as dots."""
-    from PIL import ImageDraw
-
     canvas = photo.convert("RGB").copy()
     pen = ImageDraw.Draw(canvas)
     unit = max(round(max(canvas.size) / 320), 1)

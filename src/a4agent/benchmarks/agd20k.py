@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from PIL import Image, ImageFilter
 
 from a4agent.benchmarks import files
 from a4agent.benchmarks.base import Benchmark, Sample, Truth
@@ -120,8 +121,6 @@ def heatmap(affordance: Affordance) -> np.ndarray:
 
     Edges are blurred with a deviation of 3 % of the longer side, as the truth's are.
     """
-    from PIL import Image, ImageFilter
-
     width, height = affordance.size_wh
     heat = np.zeros((height, width), np.float64)
     for region in affordance.regions:
@@ -148,8 +147,6 @@ def heatmap_scores(prediction: np.ndarray, truth: np.ndarray) -> HeatmapScores:
 
 
 def _resized(values: np.ndarray) -> np.ndarray:
-    from PIL import Image
-
     if values.shape == (SIDE, SIDE):
         return values.astype(np.float64)
     grey = Image.fromarray(values.astype(np.float32))

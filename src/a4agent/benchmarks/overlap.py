@@ -11,15 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from PIL import Image as Pillow
+from PIL.Image import Image
 
 from a4agent.errors import A4Error
 from a4agent.imaging.load import load_image
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 NEAR = 6
 """Bits of 64. Unrelated photographs differ in 32 on average, with a deviation of 4."""
@@ -37,7 +36,6 @@ class SharedImage:
 
 def perceptual_hash(image: Image) -> int:
     """64 bits that hardly change when a picture is scaled, recompressed, brightened or blurred a little."""
-    from PIL import Image as Pillow
     from scipy.fft import dctn
 
     small = np.asarray(image.convert("L").resize((SIDE, SIDE), Pillow.Resampling.LANCZOS), np.float64)

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+from PIL.Image import Image
 
 from a4agent.errors import ConfigError, DataError, InputError
 from a4agent.files import is_draft, replace_file, system_cache
@@ -187,8 +188,6 @@ def key_of(expert: Expert, request: Request) -> str:
 
 
 def _plain(value: Any) -> Any:
-    from PIL.Image import Image
-
     if value is None or isinstance(value, (str, int, float)):
         return value
     if isinstance(value, Image):
@@ -242,8 +241,6 @@ def unpack(data: bytes) -> Answer | None:
 
 def _stored(value: Any) -> Any:
     """A field of an answer as JSON; of a picture only that there is one."""
-    from PIL.Image import Image
-
     if isinstance(value, Usage):
         return {"usage": vars(value)}
     if isinstance(value, Image):

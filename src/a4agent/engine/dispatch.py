@@ -11,15 +11,14 @@ from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
-from typing import TYPE_CHECKING, cast
+from typing import cast
+
+from PIL.Image import Image
 
 from a4agent.engine.retry import Breaker, Pace, fresh
 from a4agent.engine.stats import ExpertStats
 from a4agent.errors import A4Error, ProviderError, ProviderTimeout, RateLimited
 from a4agent.protocols import Answer, Expert, Prepares, Request, ask
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 Outcome = Answer | Exception
 

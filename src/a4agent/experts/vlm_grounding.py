@@ -13,9 +13,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
+from PIL.Image import Image, Resampling
 
 from a4agent.errors import A4Error, ConfigError, TruncatedAnswer, UnknownNameError, UnreadableAnswer
 from a4agent.experts import registry
@@ -24,9 +25,6 @@ from a4agent.experts.grounding_answer import Found, read_boxes, read_objects
 from a4agent.files import read_package_toml
 from a4agent.protocols import Charges, ChatAnswer, ChatRequest, DetectRequest, ExpertBase, Role, VisionLanguageModel
 from a4agent.types import Detection
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 _REGION_SCHEMA: dict[str, Any] = {
     "type": "object",
@@ -219,8 +217,6 @@ class VlmDetector(ExpertBase):
         self.vlm.close()
 
     def _sent(self, image: Image) -> Image:
-        from PIL.Image import Resampling
-
         size = self.dialect.sent_size(image.size, **self._limits)
         if size == image.size:
             return image

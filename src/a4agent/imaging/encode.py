@@ -11,12 +11,11 @@ import io
 import threading
 import weakref
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from PIL.Image import Image
 
 from a4agent.errors import ConfigError
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 FORMATS = {"jpeg": "JPEG", "png": "PNG"}
 

@@ -16,14 +16,14 @@ import weakref
 from collections.abc import Generator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, cast
+from typing import IO, Any, cast
 
 import numpy as np
+from PIL import ExifTags, UnidentifiedImageError
+from PIL import Image as Pillow
+from PIL.Image import Image, Transpose
 
 from a4agent.errors import A4Error, InputError, ResourceError, require
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 MAX_PIXELS = 100_000_000
 MAX_BYTES = 500_000_000
@@ -63,9 +63,7 @@ def load_image(
         TooManyPixels: an InputError too, for more than `max_pixels` pixels.
         MissingExtraError: an HEIC picture without the extra `heif`.
     """
-    from PIL import Image
-
-    if isinstance(source, Image.Image):
+    if isinstance(source, Pillow.Image):
         with _explained("the image"):
             return _to_rgb(source, "the image", max_pixels, shrink_to)
     if isinstance(source, np.ndarray):
@@ -117,8 +115,6 @@ def _opened(
 
 def _identified(file: IO[bytes], name: str, size: int, max_pixels: int) -> Image:
     """The picture, not yet decoded."""
-    from PIL import Image
-
     if size == 0:
         raise InputError(f"{name} is an empty file")
     if size > MAX_BYTES:
@@ -131,7 +127,7 @@ def _identified(file: IO[bytes], name: str, size: int, max_pixels: int) -> Image
         heif.register_heif_opener()
         formats = ("HEIF",)
     with _reading_headers():
-        image = Image.open(file, formats=formats)
+        image = Pillow.open(file, formats=formats)
     _check_pixels(image, name, max_pixels)
     return image
 
@@ -142,22 +138,18 @@ def _reading_headers() -> Generator[None, None, None]:
 
     Limit and warnings belong to the whole process, so threads take turns.
     """
-    from PIL import Image
-
     with _TURN, warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+        limit, Pillow.MAX_IMAGE_PIXELS = Pillow.MAX_IMAGE_PIXELS, None
         try:
             yield
         finally:
-            Image.MAX_IMAGE_PIXELS = limit
+            Pillow.MAX_IMAGE_PIXELS = limit
 
 
 @contextmanager
 def _explained(name: str) -> Generator[None, None, None]:
     """Turn any error of a decoder into an InputError that names the picture."""
-    from PIL import UnidentifiedImageError
-
     try:
         yield
     except A4Error:
@@ -180,13 +172,11 @@ def _unreadable(what: str, error: Exception) -> InputError | ResourceError:
 
 
 def _from_array(array: np.ndarray) -> Image:
-    from PIL import Image
-
     if array.dtype != np.uint8 or array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] not in (3, 4)):
         raise InputError(f"an image array is uint8 of shape (H, W, 3), not {array.dtype} of {array.shape}")
     if not array.size:
         raise InputError(f"an image array without pixels: {array.shape}")
-    return Image.fromarray(array)
+    return Pillow.fromarray(array)
 
 
 def _check_pixels(image: Image, name: str, max_pixels: int) -> None:
@@ -200,8 +190,6 @@ def _check_pixels(image: Image, name: str, max_pixels: int) -> None:
 
 
 def _to_rgb(image: Image, name: str, max_pixels: int, shrink_to: int | None) -> Image:
-    from PIL import Image
-
     _check_pixels(image, name, max_pixels)
     smaller = None
     if shrink_to is not None and image.width * image.height > shrink_to:
@@ -210,14 +198,14 @@ def _to_rgb(image: Image, name: str, max_pixels: int, shrink_to: int | None) -> 
         image.draft(None, smaller)  # a JPEG is decoded at half its size or less, and never below this one
     upright = _upright(image)
     if upright.mode in ("I", "F") or upright.mode.startswith("I;16"):
-        upright = Image.fromarray(_to_8_bit(np.asarray(upright)))
+        upright = Pillow.fromarray(_to_8_bit(np.asarray(upright)))
     if upright.mode in ("RGBA", "LA", "PA", "La", "RGBa") or "transparency" in upright.info:
         upright = upright.convert("RGBA")
-        ground = Image.new("RGBA", upright.size, "white")
-        upright = Image.alpha_composite(ground, upright)
+        ground = Pillow.new("RGBA", upright.size, "white")
+        upright = Pillow.alpha_composite(ground, upright)
     rgb = upright.convert("RGB")
     if smaller is not None:
-        rgb.thumbnail((max(smaller), max(smaller)), Image.Resampling.LANCZOS)
+        rgb.thumbnail((max(smaller), max(smaller)), Pillow.Resampling.LANCZOS)
     rgb.info.clear()  # its EXIF would turn it again
     return rgb
 
@@ -227,9 +215,6 @@ def _upright(image: Image) -> Image:
 
     Pillow's own `exif_transpose` refuses pictures with other tags that it cannot read or write again.
     """
-    from PIL import ExifTags
-    from PIL.Image import Transpose
-
     with _reading_headers() if image.format == "TIFF" else nullcontext():  # its EXIF is read with the pixels
         image.load()
     with _reading_headers():

@@ -10,18 +10,16 @@ import re
 import sys
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
+from PIL import Image as Pillow
+from PIL import ImageChops, ImageDraw, ImageFilter, ImageFont
+from PIL.Image import Image
 
 from a4agent.imaging.load import load_image
 
-if TYPE_CHECKING:
-    from PIL import ImageFont
-    from PIL.Image import Image
-
-    Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
-
+Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 ACCENTS = ((255, 61, 127), (0, 188, 212), (255, 179, 0), (124, 92, 255), (0, 200, 120))
 DARK = (16, 18, 24)
 LIGHT = (255, 255, 255)
@@ -66,8 +64,6 @@ def draw(
     `opacity` of the tint is 0 to 1; `caption` is a line of text below, None for no line; `hatched` draws the masks as
     stripes, for an answer that is unsure.
     """
-    from PIL import Image as Pillow
-
     photo = load_image(image, max_pixels=sys.maxsize)  # it is in memory already, so no limit applies
     scale = np.clip(max(photo.size), SHORTEST, LONGEST) / max(photo.size)
     size = (max(round(photo.width * scale), 1), max(round(photo.height * scale), 1))
@@ -89,16 +85,11 @@ def draw(
 
 def _soft(mask: np.ndarray, size: tuple[int, int]) -> Image:
     """The mask as a smooth 8-bit picture of `size`."""
-    from PIL import Image as Pillow
-    from PIL import ImageFilter
-
     soft = Pillow.fromarray(mask.astype(np.uint8) * 255).resize(size, Pillow.Resampling.BICUBIC)
     return soft.filter(ImageFilter.GaussianBlur(max(size) / 1000))
 
 
 def _dim_outside(canvas: Image, mask: np.ndarray) -> Image:
-    from PIL import Image as Pillow
-
     dimmed = Pillow.blend(canvas, Pillow.new("RGB", canvas.size, DARK), 0.28)
     return Pillow.composite(canvas, dimmed, _soft(mask, canvas.size))
 
@@ -106,9 +97,6 @@ def _dim_outside(canvas: Image, mask: np.ndarray) -> Image:
 def _tint(
     canvas: Image, mask: np.ndarray, accent: tuple[int, int, int], opacity: float, stroke: int, hatched: bool
 ) -> Image:
-    from PIL import Image as Pillow
-    from PIL import ImageChops, ImageFilter
-
     soft = _soft(mask, canvas.size)
     tint = soft.point([round(value * opacity) for value in range(256)])
     if hatched:
@@ -130,15 +118,11 @@ def _tint(
 
 def _stripes(size: tuple[int, int], width: int) -> Image:
     """Diagonal stripes as an 8-bit picture: `width` pixels on, twice as many off."""
-    from PIL import Image as Pillow
-
     rows, columns = np.ogrid[: size[1], : size[0]]
     return Pillow.fromarray((((rows + columns) % (3 * width) < width) * 255).astype(np.uint8))
 
 
 def _draw_box(canvas: Image, box_xyxy: np.ndarray, accent: tuple[int, int, int], stroke: int) -> None:
-    from PIL import ImageDraw
-
     pen = ImageDraw.Draw(canvas)
     x0, y0, x1, y1 = (float(edge) for edge in box_xyxy)
     x1, y1 = max(x1 - 1, x0), max(y1 - 1, y0)
@@ -150,8 +134,6 @@ def _draw_box(canvas: Image, box_xyxy: np.ndarray, accent: tuple[int, int, int],
 
 
 def _draw_points(canvas: Image, points_xy: np.ndarray, accent: tuple[int, int, int], stroke: int) -> None:
-    from PIL import ImageDraw
-
     pen = ImageDraw.Draw(canvas)
     for x, y in points_xy:
         for radius, colour in ((6 * stroke, DARK), (5 * stroke, LIGHT), (3 * stroke, accent)):
@@ -159,9 +141,6 @@ def _draw_points(canvas: Image, points_xy: np.ndarray, accent: tuple[int, int, i
 
 
 def _caption(canvas: Image, text: str, stroke: int) -> Image:
-    from PIL import Image as Pillow
-    from PIL import ImageDraw
-
     size = max(round(max(canvas.size) / 36), 13)
     font, text = _font(" ".join(text.split())[:LONGEST_CAPTION], size)
     pad, margin = round(size * 0.55), round(size * 0.6)
@@ -186,8 +165,6 @@ def _font(text: str, size: int) -> tuple[Font, str]:
 
     Pillow's own font for Latin text; for other scripts whatever the system has.
     """
-    from PIL import ImageFont
-
     font: Font = ImageFont.load_default(size)
     lacking = _lacking(font, text)
     for name in FONTS:
@@ -199,8 +176,6 @@ def _font(text: str, size: int) -> tuple[Font, str]:
 
 @lru_cache(maxsize=32)
 def _of_system(name: str, size: int) -> Font | None:
-    from PIL import ImageFont
-
     try:
         return ImageFont.truetype(name, size)
     except OSError:

@@ -6,15 +6,14 @@ import json
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from PIL.Image import Image
 
 from a4agent.errors import InputError
 from a4agent.files import replace_file
 from a4agent.imaging.encode import encoded
 from a4agent.imaging.load import ANSWER_PICTURES
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 
 def write_answer(folder: Path, record: Mapping[str, Any], pictures: Mapping[str, Image]) -> Path:

@@ -14,9 +14,11 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from PIL import Image as Pillow
+from PIL.Image import Image
 
 from a4agent import engine, metrics
 from a4agent.agent import A4Agent
@@ -29,9 +31,6 @@ from a4agent.runs.manifest import Manifest, prompt_hashes, settings_identity, se
 from a4agent.runs.oracle import Oracle, given_of
 from a4agent.runs.store import Record, Run, RunWriter, read_run
 from a4agent.types import Affordance, Given, Query, Status, finite_or_none
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 RUNS = Path("runs")
 ENGINES = Plugins("a4agent.engines", "engine", "'local' runs in this process.")
@@ -291,11 +290,9 @@ def row_of(
 
 def strip(frames: Sequence[Image]) -> Image:
     """The first, the last and two frames between them, side by side."""
-    from PIL import Image as Images
-
     chosen = [frames[round(i * (len(frames) - 1) / 3)] for i in range(4)]
     width, height = chosen[0].size
-    joined = Images.new("RGB", (4 * width, height))
+    joined = Pillow.new("RGB", (4 * width, height))
     for place, frame in enumerate(chosen):
         joined.paste(frame, (place * width, 0))
     return joined

@@ -17,6 +17,7 @@ from statistics import median
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from a4agent import metrics
 from a4agent.engine.pipeline import ordered_map
@@ -216,8 +217,6 @@ def _embedded(folder: Path, name: str, side: int) -> str:
 
     An animation (WebP) is embedded as it is, anything else is scaled down.
     """
-    from PIL import Image
-
     path = folder / name
     try:
         image = load_image(path, max_pixels=PICTURE_SIDE**2, inside=folder)

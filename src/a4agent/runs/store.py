@@ -32,7 +32,10 @@ from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from PIL import Image as Pillow
+from PIL.Image import Image
 
 from a4agent.errors import ConfigError, DataError
 from a4agent.files import is_draft, replace_file
@@ -43,9 +46,6 @@ from a4agent.redaction import redact
 from a4agent.runs.line import problem_of
 from a4agent.runs.manifest import Manifest, differences
 from a4agent.types import Affordance, Status
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 PICTURE_SIDE = 768
 SCORED = ("id", "status", "intersection", "union", "truth_pixels", "prediction_pixels", "category", "resized")
@@ -294,13 +294,11 @@ class RunWriter:
 
     def add_picture(self, image: Image) -> str:
         """Keep a picture as a JPEG of at most 768 pixels a side; returns its path below the folder."""
-        from PIL import Image as Images
-
         name = f"images/{image_hash(image)[:20]}.jpg"
         path = self.folder / name
         if not path.exists():
             small = image.convert("RGB")
-            small.thumbnail((PICTURE_SIDE, PICTURE_SIDE), Images.Resampling.LANCZOS, reducing_gap=2.0)
+            small.thumbnail((PICTURE_SIDE, PICTURE_SIDE), Pillow.Resampling.LANCZOS, reducing_gap=2.0)
             write_atomically(path, encoded(small, "JPEG", quality=85))
         return name
 

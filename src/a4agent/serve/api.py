@@ -15,7 +15,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from fastapi import Depends, FastAPI, Query, Request
 from fastapi.exceptions import RequestValidationError
@@ -25,6 +25,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from a4agent import __version__
+from a4agent.agent import A4Agent
 from a4agent.errors import A4Error
 from a4agent.redaction import redact
 from a4agent.serve import messages
@@ -33,9 +34,6 @@ from a4agent.serve.api_docs import DESCRIPTION, INDEX, batch_extra, errors, html
 from a4agent.serve.messages import BatchIn, MaskForm, PictureForm, TraceForm
 from a4agent.serve.predictions import PredictionService, content_type, refusal
 from a4agent.serve.workers import Counters, Tell, Workers
-
-if TYPE_CHECKING:
-    from a4agent.agent import A4Agent
 
 MaskQuery = Annotated[MaskForm, Query(description="how masks are written")]
 PictureQuery = Annotated[PictureForm, Query(description="whether the imagined picture comes along")]

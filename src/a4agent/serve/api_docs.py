@@ -8,6 +8,8 @@ import json
 from functools import lru_cache
 from typing import Any
 
+from PIL import Image, ImageDraw
+
 from a4agent.imaging.encode import encoded
 from a4agent.serve import messages
 
@@ -95,8 +97,6 @@ def batch_extra() -> dict[str, Any]:
 @lru_cache(maxsize=1)
 def example() -> dict[str, str]:
     """A request that works: a small picture of a mug, and what to do with it."""
-    from PIL import Image, ImageDraw
-
     picture = Image.new("RGB", (64, 48), "white")
     draw = ImageDraw.Draw(picture)
     draw.rectangle((14, 10, 38, 40), fill=(200, 60, 40))

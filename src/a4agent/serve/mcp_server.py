@@ -16,9 +16,10 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
+from PIL.Image import Image
 from pydantic import Field
 
 from a4agent import __version__
@@ -32,9 +33,6 @@ from a4agent.serve.admission import CallerCheck, Limits, read_below, to_json
 from a4agent.serve.messages import to_wire
 from a4agent.stages.recorder import Recorder
 from a4agent.types import Affordance, Detection, Given, Region, Status, Target, finite_or_none
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 INSTRUCTIONS = (
     "Finds the part of an object to act on in a photograph. Coordinates are pixels of the upright picture, x to the"

@@ -10,9 +10,11 @@ import binascii
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
+from PIL import Image as Pillow
+from PIL.Image import Image
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from a4agent.acting.lifting import Intrinsics, metres_of
@@ -34,9 +36,6 @@ from a4agent.types import (
     finite_or_none,
     rounded,
 )
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 MaskForm = Literal["rle", "png", "none"]
 PictureForm = Literal["none", "png"]
@@ -406,9 +405,7 @@ def _mask_to_wire(mask: np.ndarray, rle: dict[str, Any], form: MaskForm) -> dict
         return rle
     if form == "none":
         return None
-    from PIL import Image
-
-    png = _png(Image.fromarray(mask.astype(np.uint8) * 255)) if mask.size else ""
+    png = _png(Pillow.fromarray(mask.astype(np.uint8) * 255)) if mask.size else ""
     return {"size": rle["size"], "png": png}
 
 

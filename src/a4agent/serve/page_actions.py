@@ -9,7 +9,9 @@ import threading
 from collections.abc import AsyncGenerator, Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
+
+from PIL.Image import Image
 
 from a4agent.agent import A4Agent
 from a4agent.config import Settings
@@ -21,9 +23,6 @@ from a4agent.serve.admission import read_below
 from a4agent.serve.page_views import StageProgress
 from a4agent.serve.workers import Cancelled
 from a4agent.types import Affordance
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 log = logging.getLogger(__name__)
 

@@ -6,16 +6,14 @@ import base64
 import html
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from PIL.Image import Image
 
 from a4agent.imaging import overlay
 from a4agent.imaging.encode import encoded
 from a4agent.types import Affordance, Check, Imagination, Region, Step, Target
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 State = Literal["waiting", "working", "done", "off"]
 CERTAINTIES = ((0.9, "sure"), (0.7, "fairly sure"), (0.0, "not very sure"))

@@ -29,6 +29,10 @@ from a4agent.benchmarks.base import Benchmark, Sample, Truth
 from a4agent.errors import A4Error, DataError, InputError
 from a4agent.files import system_cache
 from a4agent.imaging.load import read_pixels
+from a4agent.sim.assets import check_installed
+from a4agent.sim.backend import check_renderer
+from a4agent.sim.catalogue import built_in
+from a4agent.sim.make import FORMAT, make_set
 from a4agent.types import Query
 
 log = logging.getLogger("a4agent")
@@ -65,17 +69,11 @@ class SceneRow(BaseModel):
 
 def make(out: Path, **options: Any) -> Path:
     """`sim.make.make_set`, for `a4 data make sim`."""
-    from a4agent.sim.make import make_set
-
     return make_set(out, **options)
 
 
 def missing() -> str:
     """What stands between this machine and `a4 data make sim`; "" if nothing does."""
-    from a4agent.sim.assets import check_installed
-    from a4agent.sim.backend import check_renderer
-    from a4agent.sim.catalogue import built_in
-
     try:
         check_installed(built_in())
         check_renderer()
@@ -96,8 +94,6 @@ def create(path: str | Path | None = None) -> Benchmark:
     if not isinstance(about, dict) or about.get("benchmark") != "sim":
         raise DataError(f"{str(root / 'set.json')!r} does not describe a sim set; make one: {SOURCE}")
     about = cast("dict[str, Any]", about)
-    from a4agent.sim.make import FORMAT
-
     if about.get("format") != FORMAT:
         raise DataError(f"{str(root)!r} has format {about.get('format')!r}, this version reads {FORMAT}; {SOURCE}")
     rows = read_rows(root)
@@ -150,8 +146,6 @@ def default_set() -> Path:
 
     Raises what `a4agent.sim.make.make_set` raises.
     """
-    from a4agent.sim.make import FORMAT, make_set
-
     name = f"sim-v{FORMAT}-test-{DEFAULT_SEED}-{DEFAULT_N}"
     return made_once(name, DEFAULT_N, lambda out: make_set(out, n=DEFAULT_N, seed=DEFAULT_SEED))
 

@@ -36,6 +36,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+from PIL import Image
 
 from a4agent.errors import ConfigError, DataError, ResourceError
 from a4agent.files import is_draft, replace_file
@@ -182,8 +183,6 @@ def _work(job: Job) -> dict[str, Any]:
 
 def write_sample(drawn: Drawn, out: Path) -> dict[str, Any]:
     """Write the pictures of one sample and return its row."""
-    from PIL import Image
-
     plan = drawn.plan
     mask = drawn.regions > 0
     depth = np.clip(np.round(drawn.depth / DEPTH_SCALE), 0, 65535)

@@ -7,16 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+
+from PIL.Image import Image
 
 from a4agent import prompts
 from a4agent.errors import RefusedAnswer, TruncatedAnswer, UnreadableAnswer
 from a4agent.protocols import ChatRequest, EditRequest, ImageEditor, VisionLanguageModel
 from a4agent.stages.recorder import Recorder
 from a4agent.types import Imagination
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 
 @dataclass(frozen=True)

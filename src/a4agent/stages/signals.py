@@ -15,9 +15,11 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
+from PIL import ImageFilter
+from PIL.Image import Image, Transpose
 
 from a4agent.imaging.masks import box_iou, iou, tight_box
 from a4agent.plugins import Plugins
@@ -25,9 +27,6 @@ from a4agent.protocols import Detector, Segmenter, VisionLanguageModel
 from a4agent.stages.recorder import Recorder
 from a4agent.stages.spotter import Spotter
 from a4agent.types import Affordance, Check, Region, Target
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 signals = Plugins("a4agent.signals", "signal")
 
@@ -171,8 +170,6 @@ class Mirror:
     needs: ClassVar[tuple[str, ...]] = ()
 
     def measure(self, evidence: Evidence) -> list[Check]:
-        from PIL.Image import Transpose
-
         mirrored = evidence.image.transpose(Transpose.FLIP_LEFT_RIGHT)
         found = evidence.locate(mirrored, _sides_swapped(evidence.affordance.phrase))
         value = iou(evidence.affordance.mask, found[:, ::-1])
@@ -275,8 +272,6 @@ def crop_around(mask: np.ndarray, margin: float) -> tuple[int, int, int, int] | 
 
 def changed_area(photo: Image, edited: Image) -> np.ndarray:
     """Where (H, W) bool an edited picture differs from the photograph by more than it does everywhere."""
-    from PIL import ImageFilter
-
     blur = ImageFilter.GaussianBlur(max(photo.size) / 100)
     before, after = (np.asarray(p.convert("RGB").resize(photo.size).filter(blur), np.float32) for p in (photo, edited))
     difference = np.abs(after - before).mean(2)

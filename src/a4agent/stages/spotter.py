@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from PIL.Image import Image
 
 from a4agent.errors import ConfigError, ProviderError
 from a4agent.imaging.masks import deepest_point
@@ -18,9 +19,6 @@ from a4agent.protocols import Detector, DetectRequest, Prompt, Segmenter, Segmen
 from a4agent.stages.pairing import Pairing, clean_boxes, clean_points, to_prompts
 from a4agent.stages.recorder import Recorder
 from a4agent.types import Detection, Region, finite_or_none, no_points
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ here. An answer that cannot be used is re-asked with the reason, at most `reasks
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+
+from PIL.Image import Image
 
 from a4agent import prompts
 from a4agent.errors import TruncatedAnswer, UnreadableAnswer
@@ -16,9 +17,6 @@ from a4agent.protocols import ChatRequest, VisionLanguageModel
 from a4agent.stages.recorder import Recorder
 from a4agent.stages.target_json import TargetAnswer, read_target, thinking_in
 from a4agent.types import Imagination, Target
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 QUOTED = 240
 """How much of an unusable answer an error quotes, in characters."""

@@ -14,19 +14,17 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from a4agent import engine
 from a4agent.agent import A4Agent
+from a4agent.config import EngineSettings
 from a4agent.errors import A4Error, DataError, InputError, require
 from a4agent.files import replace_file
 from a4agent.imaging.save import make_folder
 from a4agent.interop.detections import to_coco
 from a4agent.types import Affordance, Query
 from a4agent.video.frames import Frames
-
-if TYPE_CHECKING:
-    from a4agent.config import EngineSettings
 
 JOURNAL, RECIPE = "frames.jsonl", "annotate.json"
 

@@ -13,15 +13,14 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from PIL import Image as Pillow
+from PIL.Image import Image
 
 from a4agent.errors import InputError, require
 from a4agent.imaging.load import find_images, load_image
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 FOLDER_RATE = 10.0
 """Frames per second of a folder of images."""
@@ -114,8 +113,6 @@ class _Capture(Frames):
         super().__init__(rate if 0 < rate < 1000 else 30.0, count if count > 0 else None)
 
     def __iter__(self) -> Iterator[tuple[int, Image]]:
-        from PIL import Image as Pillow
-
         index = 0
         while True:
             read, pixels = self._capture.read()

@@ -12,17 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from PIL.Image import Image
 
 from a4agent.agent import A4Agent
 from a4agent.errors import InputError
 from a4agent.protocols import Tracker
 from a4agent.types import Affordance
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 LONGEST_PAUSE = 16
 """In frames, between two groundings that were not accepted."""

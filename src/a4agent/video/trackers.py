@@ -9,16 +9,14 @@ A tracker is a class behind an entry point of the group `a4agent.trackers`; its 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from PIL.Image import Image
 
 from a4agent.errors import require
 from a4agent.plugins import Plugins
 from a4agent.protocols import Tracked, Tracker
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 TRACKERS = Plugins("a4agent.trackers", "tracker")
 

@@ -11,14 +11,13 @@ import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from PIL.Image import Image
 
 from a4agent.errors import ModelFilesError, require
 from a4agent.experts.local.base import QUANTISE, Placement, load_pretrained
 from a4agent.experts.local.checkpoints import Checkpoint
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 
 @dataclass(frozen=True, eq=False)

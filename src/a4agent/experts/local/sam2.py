@@ -14,9 +14,10 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from PIL.Image import Image
 
 from a4agent.errors import A4Error, ConfigError, UnknownNameError, require
 from a4agent.experts.hub import full_name
@@ -24,9 +25,6 @@ from a4agent.experts.local.base import LocalExpert, Placement, Stopwatch, load_p
 from a4agent.experts.local.checkpoints import find_checkpoint
 from a4agent.imaging.load import image_hash
 from a4agent.protocols import Prompt, Role, Segmentation, SegmentRequest
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
 

@@ -12,9 +12,10 @@ Source: Ravi et al., SAM 2 (arXiv 2408.00714); transformers' `Sam2VideoModel`, i
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from PIL.Image import Image
 
 from a4agent.errors import require
 from a4agent.experts.hub import full_name
@@ -22,9 +23,6 @@ from a4agent.experts.local.base import Placement, load_pretrained, place
 from a4agent.experts.local.checkpoints import find_checkpoint
 from a4agent.experts.local.sam2 import IMAGENET, resized_mask, to_square
 from a4agent.protocols import Tracked
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 LOOKS_BACK = 16
 """Frames whose memory the model may use: six masks and sixteen object pointers (the checkpoints' configuration)."""

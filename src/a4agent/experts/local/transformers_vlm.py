@@ -10,16 +10,15 @@ Whatever `AutoModelForImageTextToText` loads: Qwen2.5-VL, Qwen3-VL (`Qwen/Qwen3-
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from PIL.Image import Image
 
 from a4agent.errors import A4Error, ConfigError
 from a4agent.experts.local.base import QUANTISE, LocalExpert, Stopwatch, place
 from a4agent.experts.local.checkpoints import find_checkpoint
 from a4agent.experts.local.generation import ChatModel, Turn
 from a4agent.protocols import ChatAnswer, ChatRequest, Role
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 
 class TransformersVlm(LocalExpert):

@@ -13,7 +13,9 @@ from __future__ import annotations
 import base64
 import binascii
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from PIL.Image import Image
 
 from a4agent.errors import A4Error, InputError, UnreadableAnswer
 from a4agent.experts.remote.base import RemoteExpert, fields_from_setting
@@ -21,9 +23,6 @@ from a4agent.experts.remote.connection import Connection
 from a4agent.imaging.encode import PictureEncoder
 from a4agent.imaging.load import load_image
 from a4agent.protocols import EditAnswer, EditRequest, Role
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 
 class OpenAIEditor(RemoteExpert):

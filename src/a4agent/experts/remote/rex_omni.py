@@ -15,7 +15,9 @@ Answers are read from token ids where the server returns them (vLLM), else from 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from PIL.Image import Image
 
 from a4agent.errors import A4Error, ConfigError, UnreadableAnswer
 from a4agent.experts.remote.base import RemoteExpert, text_of
@@ -37,9 +39,6 @@ from a4agent.experts.rex_omni_answer import (
 from a4agent.imaging.encode import PictureEncoder
 from a4agent.protocols import DetectRequest, Role
 from a4agent.types import Detection, Usage
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 _EXTRA = {
     "skip_special_tokens": False,
