@@ -67,7 +67,7 @@ def _asked(situation: S, start: int, end: int) -> S:
     if any(noun.pronoun and noun.role == "object" for noun in told.nouns):  # "carry it to the desk"
         named = [noun for noun in named if noun.role == "object"]
     inside = bool(_HERE.search(text))
-    if _IT_IS_FOR.search(text):  # "this covers the box": it is not the box
+    if _IT_IS_FOR.search(text) and not question.placing:  # "this covers the box": it is not the box
         others = {noun.thing.key for noun in named if noun.thing}
         situation = replace(situation, seen=tuple(thing for thing in situation.seen if thing.key not in others))
         meant: Sequence[Noun] | None = ()

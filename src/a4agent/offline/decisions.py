@@ -113,8 +113,6 @@ class _Decider(Absence):
             owner = noun.owner
             if noun.role == "object" and self._has_tool():
                 continue
-            if noun.role in ("place", "goal") and any(n.generic for n in nouns):  # "which end goes into the slot?"
-                continue
             if stem(noun.part) not in self.know.part_index and not (owner and self._is_moved(noun, owner)):
                 continue
             beside = any(n.role == "object" and n.thing for n in nouns[:place])
@@ -156,8 +154,6 @@ class _Decider(Absence):
             return self.reading.placing or any(
                 n.thing.part_named(noun.part or "") if n.thing else unknown for n in before if not n.part
             )
-        if not self.reading.verbs and len(self.reading.nouns) == 1:  # "the lid, please"
-            return len(self.reading.words) < 7
         if not noun.definite:
             return False
         stands_alone = stem(noun.part or "") not in self.know.theme_index and noun.part in self.know.first_part_names
@@ -192,8 +188,6 @@ class _Decider(Absence):
         for thing in (*self.seen, *((tool[0],) if tool else ())):
             if thing.part_named(part.part or ""):
                 return noun_of(thing)
-        if any(n.thing for n in candidates) and part.role in ("place", "goal"):
-            return None
         return Noun("object", 0, 0, pronoun=True)
 
     # ---- "which part of the knife cuts?"
@@ -212,9 +206,7 @@ class _Decider(Absence):
                 return self._guess() or self._working_end()
             return self._of_anything(sense[0], sense[0]) if sense else None
         thing = owner.thing
-        if self._is_to_hold_something():
-            wanted = ["contain", *wanted]
-        elif self.reading.holding and (part := self._part(thing, "grasp")):
+        if self.reading.holding and (part := self._part(thing, "grasp")):
             return held(owner, part)
         if sense and (part := self._part(thing, sense[0])):
             return decision(owner, part, sense[0], f"That is the {part.name} of the {owner.name}.")
@@ -235,13 +227,6 @@ class _Decider(Absence):
         """What an adjective wants of a part: the sharp one cuts, the graspable one is grasped."""
         verb = stem(word.removesuffix("able")) if word.endswith("able") and len(word) > 6 else ()
         return self.know.senses.get(word, ()) or (self.know.action_index.get(verb, ()) if verb else ())
-
-    def _is_to_hold_something(self) -> bool:
-        """Whether the part does the holding: "which part of the spoon would hold the soup?"."""
-        words = self.reading.words
-        hold = next((verb for verb in self.reading.verbs if verb.base in ("hold", "keep")), None)
-        people = {"i", "you", "we", "one", "me", "my", "your", "hand", "hands", "robot", "someone", "people", "should"}
-        return bool(hold) and not people & set(words) and any(n.start >= hold.end for n in self.reading.nouns if hold)
 
     # ---- "where do I hold it?"
 
@@ -280,14 +265,7 @@ class _Decider(Absence):
             return None
         verbs = list(self.reading.verbs)
         tool = None if candidates[0].role == "tool" else (self.reached_for() or self._by_verb_alone())
-        unknown_tool = next(
-            (n for n in self.reading.nouns if n.role == "tool" and n.definite and not n.thing and not n.pronoun), None
-        )
         for verb in verbs:
-            if self._leads_on(verb):
-                continue
-            if unknown_tool and not set(verb.actions) & BY_HAND:
-                return None
             first = candidates[0].thing
             if tool and tool[1] in verb.actions and tool[1] not in _UNDERGONE and first and not _affords(first, verb):
                 part = self._part(*tool)
@@ -394,9 +372,8 @@ class _Decider(Absence):
                     continue
                 if usual is None or not (by_hand or noun.role == "tool"):
                     continue
-                part = "handle" if self.reading.holding else usual
-                why = f"I do not know this {noun.text}; most things have {with_article(part)} to {verb.base}."
-                return Decision(noun.name, part, why, verb.text, sure=False)
+                why = f"I do not know this {noun.text}; most things have {with_article(usual)} to {verb.base}."
+                return Decision(noun.name, usual, why, verb.text, sure=False)
         return None
 
     def _any_part(self) -> Decision | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from a4agent.offline.knowledge import Knowledge, KnownPart, KnownThing, stem
 from a4agent.offline.language import Reading, Verb
@@ -54,23 +54,16 @@ class Situation:
     def _candidates(self) -> list[Noun]:
         """Known things, tools first, then what is acted on, then places."""
         order = {"tool": 0, "object": 1, "aim": 1, "owner": 2, "place": 2, "goal": 3}
-        flat = [noun.owner if noun.owner and noun.generic else noun for noun in self.reading.nouns]
-        return sorted((n for n in flat if n.thing), key=lambda n: (order[n.role], self._is_remark(n)))
+        things = (noun for noun in self.reading.nouns if noun.thing)
+        return sorted(things, key=lambda n: (order[n.role], self._is_remark(n)))
 
     @property
     def _states(self) -> bool:
         """Whether the sentence describes instead of asking: "the mug is empty"."""
         return bool({"is", "are", "was", "were", "has"} & set(self.reading.words))
 
-    def _leads_on(self, verb: Verb) -> bool:
-        """Whether "take", "get" or "put" is only the way to what follows: "get the knife and cut bread"."""
-        later = [v for v in self.reading.verbs if v.start >= verb.end and not v.purpose]
-        return verb.actions[:1] == ("grasp",) and bool(later) and "and" in self.reading.words[verb.end : later[0].start]
-
     def _instead(self, verb: Verb) -> tuple[str, ...]:
-        bare = self.know.action_index.get(stem(verb.text.split()[:1]), ()) if " " in verb.text else ()
-        near = [action for one in verb.actions[:2] for action in self.know.instead.get(one, ())]
-        return (*(action for action in bare if action in BY_HAND), *near)
+        return tuple(action for one in verb.actions[:2] for action in self.know.instead.get(one, ()))
 
     def _part(self, thing: KnownThing, action: str) -> KnownPart | None:
         """The part that affords an action and is not ruled out; for a hand, any part that does not cut."""
@@ -91,8 +84,7 @@ class Situation:
     @property
     def _own_nouns(self) -> list[Noun]:
         """Nouns that are acted on, without what is only a place or a helper."""
-        flat = [replace(n.owner, role="object") if n.generic and n.owner else n for n in self.reading.nouns]
-        return [n for n in flat if n.role in ("object", "tool", "aim") and n.definite]
+        return [n for n in self.reading.nouns if n.role in ("object", "tool", "aim") and n.definite]
 
     @property
     def _asks(self) -> bool:
@@ -164,18 +156,10 @@ class Situation:
 
     @property
     def _wanted_actions(self) -> list[str]:
-        """The actions of the verbs; a relative clause's before those that only fetch ("find", "use")."""
-        asked = [verb for verb in self.reading.verbs if verb.text in ("holds", "keeps")]
+        """The actions of the verbs, without what a part cannot do itself."""
         by_hand = self._done_by_hand
-        return [
-            *(["contain"] if asked else []),
-            *(
-                action
-                for verb in self.reading.verbs
-                for action in verb.actions
-                if verb in by_hand or action not in _HANDLING
-            ),
-        ]
+        verbs = self.reading.verbs
+        return [action for v in verbs for action in v.actions if v in by_hand or action not in _HANDLING]
 
     @property
     def _asks_for_a_tool(self) -> bool:
