@@ -16,11 +16,11 @@ import numpy as np
 from PIL.Image import Image
 
 from a4agent import __version__, engine
-from a4agent.config import Settings, load_settings
+from a4agent.config import STAGES, Settings, load_settings
 from a4agent.errors import A4Error, AnswerError, BudgetExceeded, InputError, ProviderError
 from a4agent.experts import registry
 from a4agent.imaging.load import MAX_PIXELS, load_image
-from a4agent.protocols import Expert, Segmenter
+from a4agent.protocols import VERBS, Expert, Segmenter
 from a4agent.stages.calibration import load_calibration
 from a4agent.stages.dreamer import Dreamer
 from a4agent.stages.recorder import Recorder
@@ -265,31 +265,18 @@ class A4Agent:
 
     def experts(self) -> list[Expert]:
         """The agent's models, each once."""
-        held = [
-            self.dreamer and self.dreamer.vlm,
-            self.dreamer and self.dreamer.editor,
-            self.thinker and self.thinker.vlm,
-            self.spotter.detector,
-            self.spotter.segmenter,
-            self.verifier and self.verifier.vlm,
-            self.verifier and self.verifier.detector,
-            self.verifier and self.verifier.segmenter,
-        ]
-        return list({id(expert): expert for expert in held if expert is not None}.values())
+        held = (_experts_of(getattr(self, stage)) for stage in STAGES)
+        return list({id(expert): expert for by_role in held for expert in by_role.values()}.values())
 
     def with_experts(self, wrap: Callable[[Any], Any]) -> A4Agent:
         """The same agent with every expert replaced by `wrap(expert)`; one that is shared stays shared."""
         wrapped = {id(expert): wrap(expert) for expert in self.experts()}
-
-        def of(expert: Any) -> Any:
-            return None if expert is None else wrapped[id(expert)]
-
-        dreamer = self.dreamer and replace(self.dreamer, vlm=of(self.dreamer.vlm), editor=of(self.dreamer.editor))
-        thinker = self.thinker and replace(self.thinker, vlm=of(self.thinker.vlm))
-        spotter = replace(self.spotter, detector=of(self.spotter.detector), segmenter=of(self.spotter.segmenter))
-        v = self.verifier
-        verifier = v and replace(v, vlm=of(v.vlm), detector=of(v.detector), segmenter=of(v.segmenter))
-        return replace(self, dreamer=dreamer, thinker=thinker, spotter=spotter, verifier=verifier)
+        stages: dict[str, Any] = {name: stage for name in STAGES if (stage := getattr(self, name)) is not None}
+        changed = {
+            name: replace(stage, **{role: wrapped[id(expert)] for role, expert in _experts_of(stage).items()})
+            for name, stage in stages.items()
+        }
+        return replace(self, **changed)
 
     def close(self) -> None:
         """Release all models."""
@@ -312,6 +299,11 @@ class _Question:
     tell: OnStage
     on_step: Callable[[int, int], None] | None
     may_retry: Callable[[Trace], bool]
+
+
+def _experts_of(stage: object) -> dict[str, Expert]:
+    """The experts of a stage (None has none) by their roles."""
+    return {role: expert for role in VERBS if (expert := getattr(stage, role, None)) is not None}
 
 
 def _with_regions(answer: Affordance, regions: tuple[Region, ...]) -> Affordance:

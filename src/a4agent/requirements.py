@@ -146,7 +146,7 @@ def check(experts: Mapping[str, Spec]) -> list[Need]:
     checkpoints = needs(experts)
     missing = [one for one in checkpoints if one.path is None]
     extras, keys = _missing_extras(extras_of(experts)), _missing_keys(experts, checkpoints)
-    wanted = _once_a_fix([*extras, *keys, *map(_as_missing, missing)])
+    wanted = _grouped_by_fix([*extras, *keys, *map(_as_missing, missing)])
     if (extras or keys) and len(wanted) > 1:  # a single missing thing has a message of its own
         lines = "".join(f"\n  {one.what}: {one.fix}" for one in wanted)
         raise (MissingExtraError if extras else CredentialError)(f"{len(wanted)} things are missing here:{lines}")
@@ -271,7 +271,7 @@ def check_settings(settings: Settings) -> list[Missing]:
     except A4Error as error:
         return [Missing(str(error), "correct the profile or the --set that names it")]
     models = [_as_missing(one) for one in checkpoints if one.path is None]
-    return _once_a_fix([*_missing_extras(extras), *_missing_keys(experts, checkpoints), *models])
+    return _grouped_by_fix([*_missing_extras(extras), *_missing_keys(experts, checkpoints), *models])
 
 
 def _missing_extras(extras: Sequence[str]) -> list[Missing]:
@@ -293,7 +293,7 @@ def _as_missing(need: Need) -> Missing:
     return Missing(f"the model {need.name}{size}", f"a4 models pull {need.reference}")
 
 
-def _once_a_fix(found: Sequence[Missing]) -> list[Missing]:
+def _grouped_by_fix(found: Sequence[Missing]) -> list[Missing]:
     """Each command once, with all that it gets: three experts may want the same key."""
     by_fix: dict[str, list[str]] = {}
     for one in found:

@@ -76,7 +76,7 @@ def plan_action(
 ) -> ActionPlan:
     """The contacts of an answer's mask, and with depth (H, W) in metres and a camera its grasps.
 
-    A hard scene is no error: what could not be measured is None, with a reason.
+    A hard scene raises no error: what could not be measured is None, with a reason.
     """
     mask = affordance.mask
     if not mask.any():

@@ -13,10 +13,9 @@ from typing import Any, cast
 import numpy as np
 
 from a4agent.errors import A4Error, DataError, InputError
-from a4agent.imaging.load import read_pixels
+from a4agent.imaging.load import MAX_PIXELS, read_pixels
 from a4agent.imaging.masks import decode_rle
 
-MAX_PIXELS = 100_000_000
 MAX_COORDINATES = 1_000_000
 """In all polygons of one mask."""
 SMALL = 1 << 18

@@ -48,7 +48,6 @@ IoU with the polygon's box, which is not computed here. The third stage, S3, ask
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -261,7 +260,7 @@ def _bytes(stored: Any, where: str) -> bytes:
 
 def _mask_of_row(table: Any, number: int, where: str) -> np.ndarray:
     stored = table.slice(number, 1).column("mask").to_pylist()[0]
-    return _above_half(io.BytesIO(_bytes(stored, where)).getvalue())
+    return _above_half(_bytes(stored, where))
 
 
 def _mask_in(root: Path, relative: str) -> np.ndarray:

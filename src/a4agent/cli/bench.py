@@ -47,7 +47,7 @@ def bench(
     profile: ProfileOption = None,
     sets: SetOption = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Only the first N samples.")] = None,
-    shuffle: Annotated[int | None, typer.Option(metavar="SEED", help="In an order that the seed decides.")] = None,
+    shuffle: Annotated[int | None, typer.Option(metavar="SEED", help="Shuffle the samples with this seed.")] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="The run folder; else runs/BENCHMARK-PROFILE-CONFIGURATION.")
     ] = None,

@@ -145,7 +145,7 @@ class _Pool:
         taken = self._take()
         if taken is None:
             return False
-        self._budget.start()  # after a query was taken: a budget that the last one used up has refused nothing
+        self._budget.start()  # after a query was taken: without one, a used-up budget is no reason to stop
         trace, started = None, time.monotonic()
         try:
             if self._stopped:

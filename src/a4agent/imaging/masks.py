@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from a4agent.errors import DataError
+from a4agent.imaging.load import MAX_PIXELS
 
 Rle = dict[str, Any]
-MAX_PIXELS = 100_000_000
 
 
 def tight_box(mask: np.ndarray) -> np.ndarray | None:

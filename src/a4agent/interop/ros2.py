@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from a4agent.acting.lifting import Lifted, LiftedRegion
+from a4agent.acting.lifting import Frame, Lifted, LiftedRegion
 from a4agent.types import Affordance
 
 Message = dict[str, Any]
@@ -80,11 +80,8 @@ def pose_array(lifted: Lifted, *, stamp: Stamp = 0.0) -> Message:
 
 def pose_stamped(pose: np.ndarray, *, frame_id: str = "camera", stamp: Stamp = 0.0) -> Message:
     """geometry_msgs/PoseStamped of a (4, 4) pose, such as `acting.grasps.Grasp.pose`."""
-    from scipy.spatial.transform import Rotation
-
-    quaternion = np.asarray(Rotation.from_matrix(np.asarray(pose)[:3, :3]).as_quat())
-    quaternion = quaternion if quaternion[3] >= 0 else -quaternion
-    return {"header": header(frame_id, stamp), "pose": _pose(np.asarray(pose)[:3, 3], quaternion)}
+    frame = Frame(pose[:3, 3], pose[:3, :3])
+    return {"header": header(frame_id, stamp), "pose": _pose(frame.origin, frame.quaternion_xyzw)}
 
 
 def points_stamped(lifted: Lifted, *, stamp: Stamp = 0.0) -> list[Message]:

@@ -114,7 +114,7 @@ def _answer(sample: Sample, mask: np.ndarray | None, problem: str) -> Affordance
     """The prediction as an affordance: one region without box or points, in the prediction's own size."""
     try:
         image = load_image(sample.query.image)
-    except InputError:  # the other system may have read it all the same
+    except InputError:  # the other system may still have read it
         image = None
     instruction = sample.query.instruction
     if mask is None:

@@ -30,7 +30,7 @@ from a4agent.imaging.encode import encoded
 from a4agent.imaging.load import load_image, read_pixels
 from a4agent.imaging.masks import decode_rle
 from a4agent.serve.admission import CallerCheck, Limits, read_below, to_json
-from a4agent.serve.messages import to_wire
+from a4agent.serve.messages import LONGEST_TEXT, to_wire
 from a4agent.stages.recorder import Recorder
 from a4agent.types import Affordance, Detection, Given, Region, Status, Target, finite_or_none
 
@@ -45,7 +45,7 @@ ImagePath = Annotated[str | None, Field(description="path of the picture; give t
 ImageBase64 = Annotated[
     str | None, Field(description="the bytes of a JPEG, PNG, WebP, BMP, TIFF or GIF file in base64")
 ]
-Instruction = Annotated[str, Field(description="what to do, such as 'open the top drawer'", max_length=2000)]
+Instruction = Annotated[str, Field(description="what to do, such as 'open the top drawer'", max_length=LONGEST_TEXT)]
 KnownPart = Annotated[str | None, Field(description="the part if it is known, such as 'the handle of the drawer'")]
 
 

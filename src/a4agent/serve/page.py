@@ -195,7 +195,7 @@ def _blocks(gr: Any, profiles: Profiles, profile: str) -> Any:
 
 
 def _path(payload: Any) -> str | None:
-    """The uploaded file as it came: gradio would open it here, where an error is no sentence."""
+    """The uploaded file as it came: gradio would open it here, where its error could not be explained."""
     return payload.path if payload else None
 
 

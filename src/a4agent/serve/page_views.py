@@ -17,12 +17,12 @@ from a4agent.types import Affordance, Check, Imagination, Region, Step, Target
 
 State = Literal["waiting", "working", "done", "off"]
 CERTAINTIES = ((0.9, "sure"), (0.7, "fairly sure"), (0.0, "not very sure"))
-"""What is said of an accepted answer from each confidence on."""
+"""The words for an accepted answer, by its least confidence."""
 
 
 @dataclass(frozen=True)
 class StageProgress:
-    """How far a prediction is. `seconds` are those since its begin at which each stage ended."""
+    """How far a prediction has come. `seconds` maps each finished stage to the time since the start."""
 
     picture: Image
     instruction: str
@@ -44,7 +44,7 @@ class StageProgress:
 
 
 def stages(progress: StageProgress | None) -> str:
-    """The stages, as far as they are: how, what, where, and how sure."""
+    """The stages so far: how, what, where, and how sure."""
     cards = (_dreamer(progress), _thinker(progress), _spotter(progress), _verifier(progress))
     return f'<ol class="a4-stages">{"".join(cards)}</ol>'
 

@@ -4,7 +4,7 @@
     /tmp/a4-uploads-k3x9q2/.lock      held by the process that uses it
 
 A process that is killed cannot remove its folder, and the photos in it belong to its visitors; the next process of the
-same user does. A lock, unlike a process number, also tells who lives in another container.
+same user does. A lock, unlike a process id, also works across containers.
 """
 
 from __future__ import annotations

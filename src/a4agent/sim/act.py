@@ -16,8 +16,8 @@ to get it: the set is rendered at first use and kept in the cache. There is no o
     lost: depth     failed, and there is a mask but no measured contact
     lost: control   failed with a contact on the true part
 
-An abstained answer is acted on too: it counts in `success`, not in `success (ok)`. The option `contact` replaces what
-the hand is told: "answer" (the contact of the agent's mask), "object" (that of the whole thing), "part" (any point of
+An abstained answer is acted on too: it counts in `success`, not in `success (ok)`. The option `contact` replaces where
+the hand is sent: "answer" (the contact of the agent's mask), "object" (that of the whole thing), "part" (any point of
 the true part), "random" (any point of the picture). The contact of the true part is `--oracle segmenter`.
 """
 
@@ -219,7 +219,7 @@ def _measure(scorer: TrialScorer, row: TrialRow, affordance: Affordance) -> dict
 def _contact(
     root: Path, row: TrialRow, source: ContactSource, affordance: Affordance, depth: np.ndarray, camera: Intrinsics
 ) -> np.ndarray | None:
-    """The point (3,) that the hand is told, in the camera's frame; None where there is none."""
+    """The point (3,) that the hand is sent to, in the camera's frame; None where there is none."""
     if source in ("part", "random"):
         rng = np.random.default_rng([row.seed, *row.task.encode(), 1])
         measured = np.isfinite(depth)

@@ -48,7 +48,7 @@ class Recorder:
     def mark(self, error: A4Error) -> None:
         """Note in the last step that its answer could not be used, unless the call itself failed."""
         if self._steps and not self._steps[-1].error:
-            self._steps[-1] = replace(self._steps[-1], error=_told(error))
+            self._steps[-1] = replace(self._steps[-1], error=_named(error))
 
     @overload
     def ask(self, stage: str, expert: VisionLanguageModel, request: ChatRequest) -> ChatAnswer: ...
@@ -76,7 +76,7 @@ class Recorder:
             spent: Usage = getattr(error, "usage", None) or Usage()
             attempts = int(getattr(error, "attempts", 1))
             seconds = time.perf_counter() - started
-            self._keep(stage, expert, request, replace(spent, seconds=seconds, attempts=attempts), error=_told(error))
+            self._keep(stage, expert, request, replace(spent, seconds=seconds, attempts=attempts), error=_named(error))
             if isinstance(error, A4Error):
                 raise
             raise ProviderError(f"{expert.id} failed on a {request.verb} request: {error!r}") from error
@@ -101,7 +101,7 @@ def _checked(answer: Answer, request: Request) -> Answer:
     return answer
 
 
-def _told(error: Exception) -> str:
+def _named(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"
 
 

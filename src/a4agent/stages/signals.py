@@ -86,7 +86,7 @@ class MaskGeometry:
 
     def measure(self, evidence: Evidence) -> list[Check]:
         regions = evidence.affordance.regions
-        points = [_held(region.mask, region.points_xy) for region in regions if len(region.points_xy)]
+        points = [_share_inside(region.mask, region.points_xy) for region in regions if len(region.points_xy)]
         boxes = [(r.box_xyxy, r.tight_box_xyxy) for r in regions if r.box_xyxy is not None]
         fits = [0.0 if tight is None else float(box_iou(box, tight)) for box, tight in boxes]
         share = float(evidence.affordance.mask.mean())
@@ -283,7 +283,7 @@ def _sides_swapped(phrase: str) -> str:
     return re.sub(r"\b(left|right)", lambda found: swap[found[1]], phrase)
 
 
-def _held(mask: np.ndarray, points_xy: np.ndarray) -> float:
+def _share_inside(mask: np.ndarray, points_xy: np.ndarray) -> float:
     """The share of points (k, 2) that lie in a mask."""
     height, width = mask.shape
     columns, rows = np.clip(np.floor(points_xy), 0, [width - 1, height - 1]).astype(int).T

@@ -239,7 +239,7 @@ class Connection:
         return ProviderUnavailable(f"{self} sent something that is not an answer: {error}")
 
     def _explain_status(self, error: Any) -> A4Error:
-        status, said = int(error.status_code), _said(error)
+        status, said = int(error.status_code), _message_of(error)
         about = f"{self} answered {status}: {said}"
         low = f"{error.code or ''} {error.type or ''} {said}".lower()
         retry_after = _retry_after(error.response.headers)
@@ -274,7 +274,7 @@ class Connection:
         return ConfigError(f"{about}; base_url usually ends in '/v1'")
 
 
-def _said(error: Any) -> str:
+def _message_of(error: Any) -> str:
     """The server's message, shortened."""
     body = error.body
     if isinstance(body, Mapping):
