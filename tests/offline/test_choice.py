@@ -43,7 +43,7 @@ def test_what_lies_on_a_sheet_is_meant_before_the_sheet() -> None:
 def chosen(phrase: str, *things: SeenObject) -> tuple[SeenObject, np.ndarray]:
     choice = choose(wanted(phrase), things)
     assert choice is not None
-    return choice.thing, choice.mask
+    return choice.thing, choice.thing.region(choice.region)
 
 
 @pytest.mark.parametrize(

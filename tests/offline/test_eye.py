@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from a4agent.offline import create
-from a4agent.offline.colour import name_of
+from a4agent.offline import create, eye
 from a4agent.offline.eye import look
+from a4agent.offline.seen_object import SIDE, SeenObject
 from a4agent.offline.training.drawings import draw
-from a4agent.offline.vocabulary import GRIP, PARTS, WORK
+from a4agent.offline.vocabulary import BODY, GRIP, KINDS, PARTS
 from a4agent.protocols import DetectRequest, Prompt, Segmentation, SegmentRequest
 from a4agent.types import Detection
 
@@ -81,35 +80,43 @@ def test_a_key_point_lies_in_its_mask_and_its_thing(two_mugs: Image.Image) -> No
             assert any(thing.mask[y, x] for thing in look(picture))
 
 
-def test_a_long_thing_is_cut_straight_where_the_maps_change(screwdriver: Callable) -> None:
-    """Exchanged maps exchange the ends, and a stray patch of the other label does not fray the cut."""
-    (thing, *_) = look(screwdriver().image)
-    grip = thing.part("grip", kind="screwdriver")
-    exchanged = thing.maps.copy()
-    exchanged[[GRIP, WORK]] = exchanged[[WORK, GRIP]]
-    assert (replace(thing, maps=exchanged).part("work", kind="screwdriver") == grip).mean() > 0.99
-    y, x = np.argwhere(grip).mean(0).astype(int)
-    frayed = thing.maps.copy()
-    frayed[[GRIP, WORK], y - 2 : y + 2, x - 2 : x + 2] = [[[0.05]], [[0.9]]]
-    assert (replace(thing, maps=frayed).part("grip", kind="screwdriver") == grip).mean() > 0.99
-
-
-def test_a_thing_has_only_the_parts_of_its_kind(screwdriver: Callable) -> None:
-    (thing, *_) = look(screwdriver().image)
-    assert not thing.part("body", "inside", "lid", kind="knife").any()
-    assert not thing.part("work", kind="mug").any()
-    assert (thing.part(*PARTS[1:], kind="mug") == thing.shown).all()
-
-
 def test_kinds_sum_to_one(two_mugs: Image.Image) -> None:
     for thing in look(two_mugs):
         assert sum(thing.kinds.values()) == pytest.approx(1, abs=1e-3)
 
 
+def small_handle(kind: str) -> tuple[SeenObject, np.ndarray]:
+    """A thing of 160 pixels in the middle of a picture, and its handle's region, 24 by 6 pixels of the window."""
+    region = np.zeros((SIDE, SIDE), bool)
+    region[77:83, 68:92] = True
+    maps = np.full((len(PARTS), SIDE, SIDE), 0.01, np.float32)
+    maps[BODY] = 0.93
+    maps[:, region] = 0.01
+    maps[GRIP, region] = 0.93
+    kinds = dict.fromkeys(KINDS, 0.1 / (len(KINDS) - 1)) | {kind: 0.9}
+    box = np.array([80.0, 80, 240, 240], np.float32)
+    return SeenObject(box, kinds, "red", maps, np.array([160.0, 160, 160]), (320, 320), 0.9, 0.5), region
+
+
 @pytest.mark.parametrize(
-    ("rgb", "name"),
-    [((200, 20, 20), "red"), ((20, 40, 200), "blue"), ((15, 15, 15), "black"), ((240, 240, 240), "white"),
-     ((30, 150, 40), "green"), ((240, 220, 30), "yellow"), ((110, 60, 30), "brown"), ((128, 128, 128), "grey")],
-)  # fmt: skip
-def test_plain_names_of_colours(rgb: tuple[int, int, int], name: str) -> None:
-    assert name_of(np.array([rgb] * 5, np.uint8)) == name
+    ("kind", "rows", "columns", "looks"),
+    [
+        ("drawer", (60, 100), (45, 115), True),  # as large as before
+        ("drawer", (0, 160), (0, 160), False),  # all of the nearby window: not the same region
+        ("drawer", (0, 40), (45, 115), False),  # beside the region
+        ("mug", (60, 100), (45, 115), False),  # a vessel's part is large enough from afar
+    ],
+)
+def test_a_small_region_is_looked_at_from_nearby(
+    monkeypatch: pytest.MonkeyPatch, kind: str, rows: tuple[int, int], columns: tuple[int, int], looks: bool
+) -> None:
+    """The nearby look counts where it shows the same part in about the same place and size."""
+    thing, region = small_handle(kind)
+    near = np.full((1, len(PARTS), SIDE, SIDE), 0.01, np.float32)
+    near[0, GRIP, slice(*rows), slice(*columns)] = 0.93
+    monkeypatch.setattr(eye, "_ask", lambda *_, **__: (near, np.zeros((1, len(KINDS)))))
+    picture = Image.fromarray(np.random.default_rng(0).integers(0, 256, (320, 320, 3), np.uint8))
+    mask = eye.look_closer(picture, thing, region)
+    assert (mask != thing.region(region)).any() == looks
+    if looks:
+        assert mask.sum() == pytest.approx((40 * 70) * (24 * eye.CLOSE / SIDE) ** 2, rel=0.15)

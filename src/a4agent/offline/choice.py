@@ -50,13 +50,13 @@ NEAR_COLOURS = {
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """A thing, the `mask` (H, W) bool of its part, and how likely the thing is of the named kind, 0..1.
+    """A thing, the `region` (SIDE, SIDE) bool of its window, and how likely the thing is of the named kind, 0..1.
 
     `match` is None where no kind was named that the network knows.
     """
 
     thing: SeenObject
-    mask: np.ndarray
+    region: np.ndarray
     match: float | None
 
 
@@ -68,8 +68,8 @@ def choose(wanted: Wanted, things: Sequence[SeenObject]) -> Choice | None:
     if wanted.side or wanted.size or wanted.colour:
         scores = _told_apart(wanted, things, scores)
     best = things[int(np.argmax(scores))]
-    mask = best.region(_region(wanted, best))
-    return Choice(best, mask if mask.any() else best.mask, match(wanted, best))
+    region = _region(wanted, best)
+    return Choice(best, region if best.region(region).any() else best.shown, match(wanted, best))
 
 
 def match(wanted: Wanted, thing: SeenObject) -> float | None:

@@ -13,7 +13,7 @@ from a4agent.errors import A4Error
 from a4agent.imaging.masks import deepest_point, tight_box
 from a4agent.offline import revision
 from a4agent.offline.choice import choose
-from a4agent.offline.eye import forget, look
+from a4agent.offline.eye import forget, look, look_closer
 from a4agent.offline.phrases import wanted
 from a4agent.protocols import DetectRequest, ExpertBase
 from a4agent.types import Detection
@@ -31,9 +31,11 @@ class OfflineDetector(ExpertBase):
 
     def _detect(self, request: DetectRequest) -> Detection:
         choice = choose(wanted(request.phrase), look(request.image, self.threads))
-        mask = choice.mask if choice else np.zeros((1, 1), bool)
-        box, point = tight_box(mask), deepest_point(mask)
-        if choice is None or box is None or point is None:
+        if choice is None:
+            return Detection(text="no thing stands out from the background")
+        mask = look_closer(request.image, choice.thing, choice.region, self.threads)
+        box, point = tight_box(mask), deepest_point(mask & choice.thing.mask)
+        if box is None or point is None:
             return Detection(text="no thing stands out from the background")
         return Detection(
             boxes_xyxy=box[None],

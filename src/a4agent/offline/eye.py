@@ -51,6 +51,12 @@ ON_TOP = 0.5
 """How likely what lies on the main thing must be of its kind to be meant in its place."""
 GROUND = 0.2
 """What the main thing lies on takes at least this share of the picture."""
+SMALL = 0.5
+"""A region is looked at from nearby if it is at most this share of its window wide and high."""
+CLOSE = 2.2
+"""The side of that nearby window, of the longer side of the region."""
+LIKE = 0.4
+"""What is seen from nearby counts if its size is at least this share of the region's, and at most its inverse."""
 MOST_THINGS = 5
 REMEMBERED = 8
 LEAST = 0.0007
@@ -90,14 +96,52 @@ def forget() -> None:
         _seen.clear()
 
 
-def _look(rgb: np.ndarray, threads: int) -> tuple[SeenObject, ...]:
+def look_closer(image: Image, thing: SeenObject, region: np.ndarray, threads: int = 0) -> np.ndarray:
+    """A region (SIDE, SIDE) bool of a thing's window as a mask (H, W) bool of the picture.
+
+    A small one is looked at once more, from nearby: a handle that is three pixels wide in the drawer's window shows
+    its outline there. Parts of tools and vessels are large in their window; from nearby they are taken for others.
+    """
+    key = region.tobytes()
+    if key not in thing.closer:
+        thing.closer[key] = _look_closer(image, thing, region, threads)
+    return thing.closer[key]
+
+
+def _look_closer(image: Image, thing: SeenObject, region: np.ndarray, threads: int) -> np.ndarray:
     cv2 = require("cv2", extra="offline")
+    mask = thing.region(region)
+    tight = tight_box(region)
+    if tight is None or thing.likeliest[0] in IN_HAND or (tight[2:] - tight[:2]).max() > SMALL * SIDE:
+        return mask
+    picture = _prepared(np.asarray(image.convert("RGB"), np.uint8))
+    scale = np.float32(thing.size_wh[0] / picture.shape[1])
+    window = proposals.around(thing.box_of(region), CLOSE)
+    maps, _ = _ask(picture, window / scale, threads, SIDE, many=True)
+    parts = thing.maps[:, region].mean(1)
+    near = replace(thing, maps=maps[0], window=window[0])
+    likely = maps[0][[k for k in range(1, len(parts)) if parts[k] > 0.3]].sum(0)
+    _, pieces = cv2.connectedComponents(near.to_image(likely).astype(np.uint8))
+    sizes = np.bincount(pieces.ravel())
+    shared = np.bincount(pieces[mask], minlength=len(sizes))
+    kept = shared > 0.2 * sizes
+    kept[0] = False
+    closer = kept[pieces]
+    return closer if LIKE < closer.sum() / max(mask.sum(), 1) < 1 / LIKE else mask
+
+
+def _prepared(rgb: np.ndarray) -> np.ndarray:
+    """A picture as it is looked at: not too large, and well lit."""
+    cv2 = require("cv2", extra="offline")
+    shrink = min(1.0, IMAGE_SIDE / max(rgb.shape))
+    return well_lit(cv2.resize(rgb, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA) if shrink < 1 else rgb)
+
+
+def _look(rgb: np.ndarray, threads: int) -> tuple[SeenObject, ...]:
     height, width = rgb.shape[:2]
     if min(height, width) < 8 or int(rgb.max()) - int(rgb.min()) < 8:
         return ()
-    shrink = min(1.0, IMAGE_SIDE / max(height, width))
-    picture = cv2.resize(rgb, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA) if shrink < 1 else rgb
-    picture = well_lit(picture)
+    picture = _prepared(rgb)
     stands_out = saliency(picture, threads)
     windows = proposals.windows(picture, stands_out)
     found: list[SeenObject] = []

@@ -82,6 +82,11 @@ class SeenObject:
         return self._labels[possible]
 
     @cached_property
+    def closer(self) -> dict[bytes, np.ndarray]:
+        """Masks (H, W) bool of regions that were looked at from nearby (`eye.look_closer`)."""
+        return {}
+
+    @cached_property
     def _labels(self) -> dict[tuple[str, ...] | None, np.ndarray]:
         return {}
 

@@ -7,6 +7,7 @@ the even-coloured patch around its points.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,14 +16,19 @@ from a4agent.imaging.masks import box_area, box_iou, box_overlap, tight_box
 from a4agent.offline import revision
 from a4agent.offline.choice import regions
 from a4agent.offline.colour import to_lab
-from a4agent.offline.eye import forget, look
+from a4agent.offline.eye import forget, look, look_closer
 from a4agent.offline.seen_object import SeenObject
 from a4agent.protocols import ExpertBase, Prompt, Segmentation, SegmentRequest
 
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
 FITS = 0.7
 """A region whose box overlaps the prompt's by this much is what the prompt means."""
-NEAR = 0.5
+NEAR = 0.3
 """A region whose box in its window overlaps the prompt's by less is not looked at in the picture's own pixels."""
+CLOSER_LOOKS = 3
+"""How many of the regions that fit best are looked at from nearby."""
 CUT_OUT_SIDE = 320
 """Pixels of the window in which a box that fits no region is looked at."""
 
@@ -48,41 +54,49 @@ class OfflineSegmenter(ExpertBase):
 
     def _one(self, request: SegmentRequest, things: Sequence[SeenObject], prompt: Prompt) -> tuple[np.ndarray, float]:
         """A mask (H, W) bool and how well it fits the prompt, 0..1."""
-        mask, fit = _best_region(things, prompt)
+        mask, fit = self._best_region(request.image, things, prompt)
         if mask is not None and (fit >= FITS or prompt.box_xyxy is None):
             return mask, fit
         if prompt.box_xyxy is None:
             return _patch(np.asarray(request.image.convert("RGB")), prompt.points_xy), 0.3
         return _cut_out(np.asarray(request.image.convert("RGB")), prompt.box_xyxy), 0.5
 
+    def _best_region(
+        self, image: Image, things: Sequence[SeenObject], prompt: Prompt
+    ) -> tuple[np.ndarray | None, float]:
+        """The region that fits a prompt best: by its box, or the smallest around its points; all points inside it."""
+        candidates: list[tuple[float, SeenObject, np.ndarray]] = []
+        for thing in things:
+            if prompt.box_xyxy is not None and not box_overlap(thing.box_xyxy, prompt.box_xyxy):
+                continue
+            for region in regions(thing):
+                if prompt.box_xyxy is not None and (
+                    not region.any() or box_iou(thing.box_of(region), prompt.box_xyxy) < NEAR
+                ):
+                    continue
+                candidates.append((_fit(thing.region(region), prompt), thing, region))
+        candidates.sort(key=lambda candidate: -candidate[0])
+        best, best_fit = None, 0.0
+        for _, thing, region in candidates[:CLOSER_LOOKS]:
+            mask = look_closer(image, thing, region, self.threads)
+            if (fit := _fit(mask, prompt)) > best_fit:
+                best, best_fit = mask, fit
+        return best, best_fit
+
     def close(self) -> None:
         forget()
 
 
-def _best_region(things: Sequence[SeenObject], prompt: Prompt) -> tuple[np.ndarray | None, float]:
-    """The region that fits a prompt best: by its box, or the smallest around its points; all points inside it."""
-    best, best_fit = None, 0.0
-    for thing in things:
-        if prompt.box_xyxy is not None and not box_overlap(thing.box_xyxy, prompt.box_xyxy):
-            continue
-        for region in regions(thing):
-            if prompt.box_xyxy is not None and (
-                not region.any() or box_iou(thing.box_of(region), prompt.box_xyxy) < NEAR
-            ):
-                continue
-            mask = thing.region(region)
-            box = tight_box(mask)
-            if box is None:
-                continue
-            inside = _share_inside(mask, prompt.points_xy)
-            if prompt.box_xyxy is not None:
-                fit = float(box_iou(box, prompt.box_xyxy)) * (0.5 + 0.5 * inside)
-                fit /= 1 + 0.1 * float(mask.sum() / box_area(box))  # a rim, rather than what it surrounds
-            else:
-                fit = float(inside == 1.0) / (1.0 + float(mask.mean()))
-            if fit > best_fit:
-                best, best_fit = mask, fit
-    return best, best_fit
+def _fit(mask: np.ndarray, prompt: Prompt) -> float:
+    """How well a mask (H, W) bool fits a prompt, 0..1."""
+    box = tight_box(mask)
+    if box is None:
+        return 0.0
+    inside = _share_inside(mask, prompt.points_xy)
+    if prompt.box_xyxy is None:
+        return float(inside == 1.0) / (1.0 + float(mask.mean()))
+    fit = float(box_iou(box, prompt.box_xyxy)) * (0.5 + 0.5 * inside)
+    return fit / (1 + 0.1 * float(mask.sum() / box_area(box)))  # a rim, rather than what it surrounds
 
 
 def _share_inside(mask: np.ndarray, points_xy: np.ndarray) -> float:
