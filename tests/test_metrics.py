@@ -234,6 +234,11 @@ def test_a_prediction_without_pixels_is_blank() -> None:
     assert measure(np.zeros((0, 0), bool), np.ones((3, 3), bool)) == Row(0, 9, "ok", 9, 0, True)
 
 
+def test_only_blank_predictions_are_counted_as_blank() -> None:
+    rows = [Row(0, 9, truth_pixels=9, prediction_pixels=0), *[Row(4, 9, truth_pixels=9, prediction_pixels=4)] * 2]
+    assert score(rows).n_empty_prediction == 1
+
+
 def test_a_run_compared_with_itself_differs_by_nothing() -> None:
     run = {str(number): Row(*pair) for number, pair in enumerate(CASES[3]["intersection_union"])}
 
