@@ -11,6 +11,8 @@ from a4agent.offline.phrases import Wanted, wanted
 from a4agent.offline.seen_object import SIDE, SeenObject
 from a4agent.offline.vocabulary import BODY, GRIP, INSIDE, KINDS, NOTHING, PARTS
 
+PICTURE = np.zeros((320, 640, 3), np.uint8)
+
 
 def seen(x: float, kind: str = "mug", colour: str = "white", side: float = 160.0) -> SeenObject:
     """A vessel at column `x` of a picture of 640 x 320: inside above, body below, a handle on either side of it."""
@@ -27,7 +29,7 @@ def seen(x: float, kind: str = "mug", colour: str = "white", side: float = 160.0
     kinds = dict.fromkeys(KINDS, 0.1 / (len(KINDS) - 1)) | {kind: 0.9}
     half = side * 0.3
     box = np.array([x - half, 160 - half, x + half, 160 + half], np.float32)
-    return SeenObject(box, kinds, colour, maps, np.array([x, 160.0, side]), (640, 320), 0.9, 0.5)
+    return SeenObject(box, kinds, colour, maps, np.array([x, 160.0, side]), (640, 320), 0.9, 0.5, PICTURE)
 
 
 def test_what_lies_on_a_sheet_is_meant_before_the_sheet() -> None:

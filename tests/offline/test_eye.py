@@ -95,7 +95,8 @@ def small_handle(kind: str) -> tuple[SeenObject, np.ndarray]:
     maps[GRIP, region] = 0.93
     kinds = dict.fromkeys(KINDS, 0.1 / (len(KINDS) - 1)) | {kind: 0.9}
     box = np.array([80.0, 80, 240, 240], np.float32)
-    return SeenObject(box, kinds, "red", maps, np.array([160.0, 160, 160]), (320, 320), 0.9, 0.5), region
+    picture = np.random.default_rng(0).integers(0, 256, (320, 320, 3), np.uint8)
+    return SeenObject(box, kinds, "red", maps, np.array([160.0, 160, 160]), (320, 320), 0.9, 0.5, picture), region
 
 
 @pytest.mark.parametrize(
@@ -115,8 +116,7 @@ def test_a_small_region_is_looked_at_from_nearby(
     near = np.full((1, len(PARTS), SIDE, SIDE), 0.01, np.float32)
     near[0, GRIP, slice(*rows), slice(*columns)] = 0.93
     monkeypatch.setattr(eye, "_ask", lambda *_, **__: (near, np.zeros((1, len(KINDS)))))
-    picture = Image.fromarray(np.random.default_rng(0).integers(0, 256, (320, 320, 3), np.uint8))
-    mask = eye.look_closer(picture, thing, region)
+    mask = eye.look_closer(thing, region)
     assert (mask != thing.region(region)).any() == looks
     if looks:
         assert mask.sum() == pytest.approx((40 * 70) * (24 * eye.CLOSE / SIDE) ** 2, rel=0.15)

@@ -33,7 +33,7 @@ class OfflineDetector(ExpertBase):
         choice = choose(wanted(request.phrase), look(request.image, self.threads))
         if choice is None:
             return Detection(text="no thing stands out from the background")
-        mask = look_closer(request.image, choice.thing, choice.region, self.threads)
+        mask = look_closer(choice.thing, choice.region, self.threads)
         box, point = tight_box(mask), deepest_point(mask & choice.thing.mask)
         if box is None or point is None:
             return Detection(text="no thing stands out from the background")

@@ -96,31 +96,20 @@ def forget() -> None:
         _seen.clear()
 
 
-def look_closer(image: Image, thing: SeenObject, region: np.ndarray, threads: int = 0) -> np.ndarray:
+def look_closer(thing: SeenObject, region: np.ndarray, threads: int = 0) -> np.ndarray:
     """A region (SIDE, SIDE) bool of a thing's window as a mask (H, W) bool of the picture.
 
     A small one is looked at once more, from nearby: a handle that is three pixels wide in the drawer's window shows
     its outline there. Parts of tools and vessels are large in their window; from nearby they are taken for others.
     """
-    key = region.tobytes()
-    if key not in thing.closer:
-        thing.closer[key] = _look_closer(image, thing, region, threads)
-    return thing.closer[key]
-
-
-def _look_closer(image: Image, thing: SeenObject, region: np.ndarray, threads: int) -> np.ndarray:
     cv2 = require("cv2", extra="offline")
     mask = thing.region(region)
     tight = tight_box(region)
     if tight is None or thing.likeliest[0] in IN_HAND or (tight[2:] - tight[:2]).max() > SMALL * SIDE:
         return mask
-    picture = _prepared(np.asarray(image.convert("RGB"), np.uint8))
-    scale = np.float32(thing.size_wh[0] / picture.shape[1])
-    window = proposals.around(thing.box_of(region), CLOSE)
-    maps, _ = _ask(picture, window / scale, threads, SIDE, many=True)
+    near = _from_nearby(thing, region, threads)
     parts = thing.maps[:, region].mean(1)
-    near = replace(thing, maps=maps[0], window=window[0])
-    likely = maps[0][[k for k in range(1, len(parts)) if parts[k] > 0.3]].sum(0)
+    likely = near.maps[[k for k in range(1, len(parts)) if parts[k] > 0.3]].sum(0)
     _, pieces = cv2.connectedComponents(near.to_image(likely).astype(np.uint8))
     sizes = np.bincount(pieces.ravel())
     shared = np.bincount(pieces[mask], minlength=len(sizes))
@@ -130,18 +119,25 @@ def _look_closer(image: Image, thing: SeenObject, region: np.ndarray, threads: i
     return closer if LIKE < closer.sum() / max(mask.sum(), 1) < 1 / LIKE else mask
 
 
-def _prepared(rgb: np.ndarray) -> np.ndarray:
-    """A picture as it is looked at: not too large, and well lit."""
-    cv2 = require("cv2", extra="offline")
-    shrink = min(1.0, IMAGE_SIDE / max(rgb.shape))
-    return well_lit(cv2.resize(rgb, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA) if shrink < 1 else rgb)
+def _from_nearby(thing: SeenObject, region: np.ndarray, threads: int) -> SeenObject:
+    """The thing in a window around a region (SIDE, SIDE) bool; looked at once."""
+    key = region.tobytes()
+    if key not in thing.closer:
+        scale = np.float32(thing.size_wh[0] / thing.looked_at.shape[1])
+        window = proposals.around(thing.box_of(region), CLOSE)
+        maps, _ = _ask(thing.looked_at, window / scale, threads, SIDE, many=True)
+        thing.closer[key] = replace(thing, maps=maps[0], window=window[0])
+    return thing.closer[key]
 
 
 def _look(rgb: np.ndarray, threads: int) -> tuple[SeenObject, ...]:
+    cv2 = require("cv2", extra="offline")
     height, width = rgb.shape[:2]
     if min(height, width) < 8 or int(rgb.max()) - int(rgb.min()) < 8:
         return ()
-    picture = _prepared(rgb)
+    shrink = min(1.0, IMAGE_SIDE / max(height, width))
+    picture = cv2.resize(rgb, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA) if shrink < 1 else rgb
+    picture = well_lit(picture)
     stands_out = saliency(picture, threads)
     windows = proposals.windows(picture, stands_out)
     found: list[SeenObject] = []
@@ -341,4 +337,5 @@ def _seen_object(
         size_wh=size_wh,
         objectness=score,
         contrast=contrast,
+        looked_at=rgb,
     )

@@ -35,7 +35,8 @@ class SeenObject:
     """One thing: its box, kinds, colour, and part maps (8, SIDE, SIDE) of probabilities in a square `window`.
 
     `window` is centre x, centre y and side in pixels of the picture of `size_wh`; `objectness` says how sure it
-    is that this is one whole thing, `contrast` how much more it stands out than what is around it.
+    is that this is one whole thing, `contrast` how much more it stands out than what is around it. `looked_at`
+    (h, w, 3) uint8 is the picture as it was looked at: not too large, and well lit.
     """
 
     box_xyxy: np.ndarray
@@ -46,6 +47,7 @@ class SeenObject:
     size_wh: tuple[int, int]
     objectness: float
     contrast: float
+    looked_at: np.ndarray
 
     @property
     def likeliest(self) -> tuple[str, float]:
@@ -82,8 +84,8 @@ class SeenObject:
         return self._labels[possible]
 
     @cached_property
-    def closer(self) -> dict[bytes, np.ndarray]:
-        """Masks (H, W) bool of regions that were looked at from nearby (`eye.look_closer`)."""
+    def closer(self) -> dict[bytes, SeenObject]:
+        """The thing as it was seen from near its regions (`eye.look_closer`), by their bytes."""
         return {}
 
     @cached_property

@@ -7,7 +7,6 @@ the even-coloured patch around its points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +18,6 @@ from a4agent.offline.colour import to_lab
 from a4agent.offline.eye import forget, look, look_closer
 from a4agent.offline.seen_object import SeenObject
 from a4agent.protocols import ExpertBase, Prompt, Segmentation, SegmentRequest
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 FITS = 0.7
 """A region whose box overlaps the prompt's by this much is what the prompt means."""
@@ -54,16 +50,14 @@ class OfflineSegmenter(ExpertBase):
 
     def _one(self, request: SegmentRequest, things: Sequence[SeenObject], prompt: Prompt) -> tuple[np.ndarray, float]:
         """A mask (H, W) bool and how well it fits the prompt, 0..1."""
-        mask, fit = self._best_region(request.image, things, prompt)
+        mask, fit = self._best_region(things, prompt)
         if mask is not None and (fit >= FITS or prompt.box_xyxy is None):
             return mask, fit
         if prompt.box_xyxy is None:
             return _patch(np.asarray(request.image.convert("RGB")), prompt.points_xy), 0.3
         return _cut_out(np.asarray(request.image.convert("RGB")), prompt.box_xyxy), 0.5
 
-    def _best_region(
-        self, image: Image, things: Sequence[SeenObject], prompt: Prompt
-    ) -> tuple[np.ndarray | None, float]:
+    def _best_region(self, things: Sequence[SeenObject], prompt: Prompt) -> tuple[np.ndarray | None, float]:
         """The region that fits a prompt best: by its box, or the smallest around its points; all points inside it."""
         candidates: list[tuple[float, SeenObject, np.ndarray]] = []
         for thing in things:
@@ -78,7 +72,7 @@ class OfflineSegmenter(ExpertBase):
         candidates.sort(key=lambda candidate: -candidate[0])
         best, best_fit = None, 0.0
         for _, thing, region in candidates[:CLOSER_LOOKS]:
-            mask = look_closer(image, thing, region, self.threads)
+            mask = look_closer(thing, region, self.threads)
             if (fit := _fit(mask, prompt)) > best_fit:
                 best, best_fit = mask, fit
         return best, best_fit
