@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Annotated
 
 import typer
@@ -12,8 +13,8 @@ from rich.table import Table
 
 from a4agent import requirements
 from a4agent.cli import common
-from a4agent.config import Settings, load_profile, profile_names
-from a4agent.requirements import check_profile
+from a4agent.config import ProfileInfo, Settings, load_profile, profile_names
+from a4agent.requirements import Need, check_profile
 
 
 def profiles(
@@ -32,32 +33,29 @@ def profiles(
 
 
 def _as_dict(name: str, settings: Settings) -> dict[str, object]:
+    checkpoints = requirements.needs(settings.expert_specs())
     return {
         "name": name,
         **settings.profile.model_dump(),
         "extras": requirements.extras_of(settings.expert_specs()),
-        "licences": licences(settings),
-        "downloads": downloads(settings),
+        "licences": licences(settings.profile, checkpoints),
+        "downloads": downloads(checkpoints),
         "experts": {role: spec.expert for role, spec in settings.expert_specs().items()},
         "missing": [{"what": missing.what, "fix": missing.fix} for missing in check_profile(name)],
     }
 
 
-def licences(settings: Settings) -> list[str]:
+def licences(profile: ProfileInfo, checkpoints: Sequence[Need]) -> list[str]:
     """The licence of each checkpoint, and what the profile says of its other models."""
-    checkpoints = requirements.needs(settings.expert_specs())
     listed = [
         f"{one.name}: {one.info.licence}{'' if one.info.commercial else ', non-commercial'}" for one in checkpoints
     ]
-    return [*settings.profile.licences, *listed]
+    return [*profile.licences, *listed]
 
 
-def downloads(settings: Settings) -> list[str]:
-    """The checkpoints of a profile with their sizes; see `a4 models list` for more."""
-    return [
-        f"{need.name} ({need.info.gigabytes:g} GB)" if need.info.gigabytes else need.name
-        for need in requirements.needs(settings.expert_specs())
-    ]
+def downloads(checkpoints: Sequence[Need]) -> list[str]:
+    """Checkpoints with their sizes; see `a4 models list` for more."""
+    return [f"{need.name} ({need.info.gigabytes:g} GB)" if need.info.gigabytes else need.name for need in checkpoints]
 
 
 def _show_all(found: dict[str, Settings]) -> None:
@@ -79,15 +77,15 @@ def _show_all(found: dict[str, Settings]) -> None:
 
 def _show_one(name: str, settings: Settings) -> None:
     console = common.output()
-    info = settings.profile
+    info, checkpoints = settings.profile, requirements.needs(settings.expert_specs())
     console.print(f"[bold]{name}[/]  {escape(info.summary)}")
     for role, spec in settings.expert_specs().items():
         own = ", ".join(f"{key} = {value}" for key, value in spec.settings.items())
         console.print(f"  {role:18} {escape(spec.expert)}{f'  [dim]({escape(own)})[/]' if own else ''}")
     for title, lines in (
         ("memory", [info.memory]),
-        ("downloads", downloads(settings)),
-        ("licences", licences(settings)),
+        ("downloads", downloads(checkpoints)),
+        ("licences", licences(info, checkpoints)),
         ("extras", requirements.extras_of(settings.expert_specs())),
         ("notes", [info.notes]),
     ):

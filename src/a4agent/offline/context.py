@@ -26,12 +26,12 @@ _QUESTION = re.compile(
     r"((?:(?:by|at|on|in|to) )?(?:what|where|which|how)\b[^.;:!?]*[?.!]*)"
 )
 _CONDITION = re.compile(r"\b(?:if|when|in case) (?:i|you|we|one)\b[^.;:!?]*")
+_THERE = re.compile(r"\b(?:from|out of) (?:in |inside |behind )?(?:here|there)\b")
 _HERE = re.compile(
     r"\b(?:in|inside|within|behind) "
     r"(?:(?:here|there)\b|(?:it|this|these|that|those)(?=[.,;:!?]|$| (?:and|so|but|is|are)\b))"
-    r"|\b(?:from|out of) (?:in |inside |behind )?(?:here|there)\b|\b(?:is|are) (?:\w+ )?inside\b"
+    rf"|{_THERE.pattern}|\b(?:is|are) (?:\w+ )?inside\b"
 )
-_THERE = re.compile(r"\b(?:from|out of) (?:in |inside |behind )?(?:here|there)\b")
 _IT_IS_FOR = re.compile(
     r"(?:^|[.;!?] )(?:this|that|it|these|those|they) (?:(?:should|must|will|would|could|has to|have to) )?"
     r"(?:covers?|fits?|closes?|belongs?|goes|go|shuts?|seals?)\b"

@@ -26,7 +26,7 @@ from a4agent.errors import require
 from a4agent.imaging.masks import box_area, box_iou, box_overlap, tight_box
 from a4agent.offline import proposals
 from a4agent.offline.colour import name_of, well_lit
-from a4agent.offline.networks import session
+from a4agent.offline.networks import session, softmax
 from a4agent.offline.saliency import saliency
 from a4agent.offline.seen_object import SHOWN, SIDE, SeenObject, box_in_picture, main_piece
 from a4agent.offline.vocabulary import IN_HAND, KINDS, NOTHING
@@ -267,12 +267,7 @@ VIEWS = (
 
 def _run(crops: np.ndarray, threads: int) -> tuple[np.ndarray, np.ndarray]:
     parts, kinds = session(WEIGHTS, threads).run(["parts", "kinds"], {"crops": crops})
-    return _softmax(parts), _softmax(kinds)
-
-
-def _softmax(logits: np.ndarray) -> np.ndarray:
-    powers = np.exp(logits - logits.max(1, keepdims=True))
-    return powers / powers.sum(1, keepdims=True)
+    return softmax(parts), softmax(kinds)
 
 
 def _boxes(

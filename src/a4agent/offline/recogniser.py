@@ -18,7 +18,7 @@ import numpy as np
 
 from a4agent.files import read_toml
 from a4agent.imaging.masks import tight_box
-from a4agent.offline.networks import session
+from a4agent.offline.networks import session, softmax
 from a4agent.offline.phrases import wanted
 from a4agent.types import Check
 
@@ -76,8 +76,7 @@ def recognise(image: Image, boxes_xyxy: np.ndarray) -> np.ndarray:
     """
     pixels = (np.stack([np.asarray(_cut(image, box), np.float32) for box in boxes_xyxy]) - 127) / 128
     logits: np.ndarray = session(WEIGHTS, 1, SHA256).run(["logits"], {"crops": pixels.transpose(0, 3, 1, 2)})[0]
-    powers = np.exp(logits - logits.max(1, keepdims=True))
-    return powers / powers.sum(1, keepdims=True)
+    return softmax(logits)
 
 
 def around(box_xyxy: np.ndarray, times: float) -> np.ndarray:

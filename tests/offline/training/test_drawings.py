@@ -2,10 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+import pytest
 
 from a4agent.offline.training.canvas import SIDE
-from a4agent.offline.training.drawings import draw
+from a4agent.offline.training.drawings import FAMILIES, draw
+from a4agent.offline.training.pieces import DrawnThing, Rng
+from a4agent.offline.vocabulary import KINDS
+
+MAKERS = [make for makers, _ in FAMILIES for make in makers]
+
+
+@pytest.mark.parametrize("make", MAKERS, ids=lambda make: make.__name__)
+def test_every_maker_draws_a_known_kind(make: Callable[[Rng], DrawnThing]) -> None:
+    for seed in range(20):
+        thing = make(np.random.default_rng(seed))
+        assert thing.kind in KINDS
+        assert all(np.isfinite(piece.outline).all() and piece.outline.shape[1] == 2 for piece in thing.pieces)
 
 
 def test_the_same_seed_draws_the_same() -> None:
